@@ -1,0 +1,74 @@
+//! The result of a generation.
+
+use std::time::Duration;
+
+use crate::motion::{Animation, Positions, Skeleton};
+
+/// Pose codes of the two half bodies, one pair per 8 frames at 60 fps.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Codes {
+    /// Upper half.
+    pub upper: Vec<u32>,
+    /// Lower half.
+    pub lower: Vec<u32>,
+}
+
+/// What was heard in the music (column 53 at 30,720 Hz, profile 0.11).
+#[derive(Clone, Debug, PartialEq)]
+pub struct MusicInfo {
+    /// Beats per minute; 0 when none were found.
+    pub tempo_bpm: f64,
+    /// Beats in seconds from the start of the dance.
+    pub beats_s: Vec<f64>,
+}
+
+/// Where [`Dance::positions`] come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PositionsSource {
+    /// The decoder's own positions (60 fps).
+    Decoder,
+    /// Forward kinematics of resampled rotations.
+    ForwardKinematics,
+}
+
+/// Wall time per stage.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Timings {
+    /// Waiting for a place in the model's queue.
+    pub queue: Duration,
+    /// Decoding and resampling the audio.
+    pub decode: Duration,
+    /// Music features.
+    pub features: Duration,
+    /// Codes and decoded motion.
+    pub inference: Duration,
+    /// Rotations, floor and frame rate.
+    pub motion: Duration,
+}
+
+/// A dance: motion on a skeleton, and how it came about.
+#[derive(Clone, Debug)]
+pub struct Dance {
+    /// Name of the model, from its manifest.
+    pub model: String,
+    /// The seed that was used.
+    pub seed: u64,
+    /// Rest skeleton.
+    pub skeleton: Skeleton,
+    /// Rotations and root, standing on the floor y = 0; carries the frame rate.
+    pub animation: Animation,
+    /// Joint positions `[frames, joints, 3]`, metres, standing on the floor y = 0.
+    pub positions: Positions,
+    /// Where the positions come from.
+    pub positions_source: PositionsSource,
+    /// The pose codes.
+    pub codes: Codes,
+    /// Tempo and beats, when asked for.
+    pub music: Option<MusicInfo>,
+    /// Seconds of audio danced to.
+    pub audio_seconds: f64,
+    /// Wall time per stage.
+    pub timings: Timings,
+    /// What was trimmed, truncated or assumed, in plain words.
+    pub warnings: Vec<String>,
+}

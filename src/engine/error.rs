@@ -1,0 +1,27 @@
+//! Why a generation did not happen.
+
+/// Why a generation did not happen.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EngineError {
+    /// An option lies outside what this model accepts.
+    #[error("option `{name}`: {problem}")]
+    Option {
+        /// Name of the option as in the API.
+        name: &'static str,
+        /// What was wrong and what is accepted.
+        problem: String,
+    },
+    /// The model's queue is full.
+    #[error("the queue of {capacity} waiting generations is full: try again later")]
+    QueueFull {
+        /// Its size.
+        capacity: usize,
+    },
+    /// The caller no longer wants the result.
+    #[error("the generation was cancelled")]
+    Cancelled,
+    /// The model thread has stopped.
+    #[error("the model is no longer running")]
+    Stopped,
+}

@@ -1,0 +1,23 @@
+//! Why features could not be computed.
+
+/// Why features could not be computed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FeatureError {
+    /// The delta stage needs three rows (FEATURES section 3).
+    #[error(
+        "the audio is too short for music features: it gives {rows} feature rows, at least {needed} are needed"
+    )]
+    TooShort {
+        /// Rows that the signal gives.
+        rows: usize,
+        /// Rows that are needed.
+        needed: usize,
+    },
+    /// A sample is infinite or not a number.
+    #[error("sample {index} of the signal is not a finite number")]
+    NotFinite {
+        /// Index of the first such sample.
+        index: usize,
+    },
+}

@@ -1,0 +1,5 @@
+//! Dances as files: JSON and BVH.
+
+mod error;
+
+pub use error::FormatError;

@@ -1,0 +1,20 @@
+//! Music in, dance out: 3-D dance generation after "Bailando: 3D Dance Generation by Actor-Critic
+//! GPT with Choreographic Memory" (CVPR 2022), as a library and an HTTP service.
+//!
+//! One direction: [`audio`] (bytes to PCM) → [`features`] (PCM to 438 columns) → [`model`] (the
+//! only module that knows ONNX Runtime) → [`motion`] (skeleton, kinematics) → [`format`] (JSON,
+//! BVH). [`engine`] schedules a generation, [`server`] is HTTP only, [`cli`] parses and prints.
+
+pub mod audio;
+pub mod cancel;
+pub mod cli;
+pub mod engine;
+pub mod error;
+pub mod features;
+pub mod format;
+pub mod model;
+pub mod motion;
+pub mod server;
+
+pub use cancel::CancelToken;
+pub use error::{Error, Result};

@@ -1,0 +1,3 @@
+//! `bailando`: the server and its command line.
+
+fn main() {}

@@ -1,0 +1,24 @@
+//! Why a skeleton or motion is not usable.
+
+/// Why a skeleton or motion is not usable.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MotionError {
+    /// The skeleton's tables contradict each other.
+    #[error("skeleton: {0}")]
+    Skeleton(String),
+    /// An array does not have the expected shape.
+    #[error("expected {expected}, got {got}")]
+    Shape {
+        /// What was expected.
+        expected: String,
+        /// What was found.
+        got: String,
+    },
+    /// The frame rate is not one of those offered.
+    #[error("fps {got} is not available: choose one of 20, 24, 30, 60")]
+    FrameRate {
+        /// What was asked for.
+        got: u32,
+    },
+}

@@ -1,0 +1,3 @@
+//! `bailando-train`: the offline binary.
+
+fn main() {}
