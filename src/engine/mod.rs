@@ -1,9 +1,9 @@
 //! The generation loop and its schedule; knows no HTTP.
 
-mod dance;
+mod choreographer;
 mod error;
 mod options;
 
-pub use dance::{Codes, Dance, MusicInfo, PositionsSource, Timings};
+pub use choreographer::{Choreographer, EngineConfig};
 pub use error::EngineError;
 pub use options::GenerationOptions;
