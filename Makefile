@@ -15,7 +15,8 @@ help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: ## fetch the ONNX Runtime library (pinned and checksummed) into .onnxruntime/
-	@scripts/fetch-onnxruntime.sh
+	@if [ -n "$$ORT_DYLIB_PATH" ]; then echo "ORT_DYLIB_PATH is set: no library is fetched"; \
+	else scripts/fetch-onnxruntime.sh; fi
 
 toolchain:
 	@scripts/check-toolchain.sh
