@@ -64,14 +64,21 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
         ..AudioLimits::default()
     };
     let cancel = CancelToken::new();
-    let decoded =
-        audio::decode(bytes.into(), AudioRange::default(), &[rate.hz()], &limits, &cancel)
-            .with_context(name)?;
+    let decoded = audio::decode(
+        bytes.into(),
+        AudioRange::default(),
+        &[rate.hz()],
+        &limits,
+        &cancel,
+    )
+    .with_context(name)?;
     for warning in &decoded.warnings {
         super::say_error(&format!("warning: {}: {warning}", args.audio.display()));
     }
     let signal = decoded.signals.first().map_or(&[][..], Vec::as_slice);
-    let rows = FeatureExtractor::new(rate, profile).extract(signal).with_context(name)?;
+    let rows = FeatureExtractor::new(rate, profile)
+        .extract(signal)
+        .with_context(name)?;
     ndarray_npy::write_npy(&args.output, &rows)
         .with_context(|| args.output.display().to_string())?;
     super::say(&format!(

@@ -144,8 +144,15 @@ impl GenerateArgs {
     }
 
     fn options(&self, music: bool) -> GenerationOptions {
-        let SamplingArgs { seed, temperature, top_k, start_upper, start_lower, window, hop } =
-            self.sampling;
+        let SamplingArgs {
+            seed,
+            temperature,
+            top_k,
+            start_upper,
+            start_lower,
+            window,
+            hop,
+        } = self.sampling;
         GenerationOptions {
             seed,
             temperature,
@@ -173,7 +180,9 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
     let inputs = audio_files(&args.audio)?;
     let targets = args.output.targets(&inputs)?;
     let choreographer = args.open(1)?;
-    choreographer.check(&args.options(false)).map_err(bailando::Error::from)?;
+    choreographer
+        .check(&args.options(false))
+        .map_err(bailando::Error::from)?;
     let mut first_failure = None;
     let mut failures = 0;
     for (input, (target, format)) in inputs.iter().zip(&targets) {
@@ -189,7 +198,10 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
     }
     match first_failure {
         None => Ok(()),
-        Some(_) => anyhow::bail!("{failures} of {} songs could not be danced to", inputs.len()),
+        Some(_) => anyhow::bail!(
+            "{failures} of {} songs could not be danced to",
+            inputs.len()
+        ),
     }
 }
 
@@ -231,7 +243,11 @@ fn report(dance: &Dance, target: &Path, started: Instant) {
 }
 
 fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
-    let RowsArgs { codes_out, positions_out, .. } = &args.rows;
+    let RowsArgs {
+        codes_out,
+        positions_out,
+        ..
+    } = &args.rows;
     if codes_out.is_none() && positions_out.is_none() {
         return Err(Usage("say what to write: --codes-out or --positions-out".into()).into());
     }
@@ -249,11 +265,15 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
             .with_context(|| path.display().to_string())?;
     }
     if let Some(path) = positions_out {
-        let positions = motion::integrate_root(raw.motion.view(), [0.0; 3].into())
-            .map_err(bailando::Error::from)?;
+        let positions =
+            motion::integrate_root(raw.motion.view(), [0.0; 3]).map_err(bailando::Error::from)?;
         write_positions(path, &positions)?;
     }
-    say(&format!("{} code pairs, seed {}", raw.codes.upper.len(), raw.seed));
+    say(&format!(
+        "{} code pairs, seed {}",
+        raw.codes.upper.len(),
+        raw.seed
+    ));
     Ok(())
 }
 
@@ -261,6 +281,9 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
 fn codes_array(codes: &Codes) -> Array2<i64> {
     let halves = [&codes.upper, &codes.lower];
     Array2::from_shape_fn((2, codes.upper.len()), |(half, index)| {
-        halves.get(half).and_then(|half| half.get(index)).map_or(0, |&code| i64::from(code))
+        halves
+            .get(half)
+            .and_then(|half| half.get(index))
+            .map_or(0, |&code| i64::from(code))
     })
 }

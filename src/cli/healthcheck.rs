@@ -8,7 +8,11 @@ use anyhow::Context;
 #[derive(Debug, clap::Args)]
 pub(super) struct HealthcheckArgs {
     /// What to ask: /health for alive, /ready for ready to dance
-    #[arg(long, env = "BAILANDO_HEALTH_URL", default_value = "http://127.0.0.1:8080/health")]
+    #[arg(
+        long,
+        env = "BAILANDO_HEALTH_URL",
+        default_value = "http://127.0.0.1:8080/health"
+    )]
     url: String,
     /// Seconds to wait for the answer
     #[arg(long, default_value_t = 3.0, value_parser = parse_seconds)]
@@ -28,6 +32,9 @@ pub(super) fn run(args: &HealthcheckArgs) -> anyhow::Result<()> {
             .timeout_global(Some(Duration::from_secs_f64(args.timeout)))
             .build(),
     );
-    agent.get(&args.url).call().with_context(|| format!("{} does not answer well", args.url))?;
+    agent
+        .get(&args.url)
+        .call()
+        .with_context(|| format!("{} does not answer well", args.url))?;
     Ok(())
 }

@@ -35,7 +35,10 @@ fn folder(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in fs::read_dir(path).with_context(|| path.display().to_string())? {
         let file = entry.with_context(|| path.display().to_string())?.path();
-        let extension = file.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+        let extension = file
+            .extension()
+            .and_then(|e| e.to_str())
+            .map(str::to_ascii_lowercase);
         if file.is_file() && extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str())) {
             found.push(file);
         }

@@ -18,7 +18,12 @@ use super::Usage;
 #[derive(Debug, clap::Args)]
 pub(super) struct OutputArgs {
     /// The file to write; its extension is the format: json, bvh or npy (positions alone)
-    #[arg(short, long, value_name = "OUT.{json,bvh,npy}", conflicts_with = "out_dir")]
+    #[arg(
+        short,
+        long,
+        value_name = "OUT.{json,bvh,npy}",
+        conflicts_with = "out_dir"
+    )]
     output: Option<PathBuf>,
     /// Folder for the results of several songs, each named after its song
     #[arg(long, value_name = "DIR")]
@@ -66,13 +71,18 @@ impl FileFormat {
     }
 
     fn of(path: &Path) -> Result<Self, Usage> {
-        let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+        let extension = path
+            .extension()
+            .and_then(|e| e.to_str())
+            .map(str::to_ascii_lowercase);
         [Self::Json, Self::Bvh, Self::Npy]
             .into_iter()
             .find(|format| extension.as_deref() == Some(format.extension()))
             .ok_or_else(|| {
                 let path = path.display();
-                Usage(format!("{path}: the extension chooses the format: json, bvh or npy"))
+                Usage(format!(
+                    "{path}: the extension chooses the format: json, bvh or npy"
+                ))
             })
     }
 }

@@ -99,7 +99,10 @@ mod tests {
     #[test]
     fn the_preferred_type_that_we_have_wins() {
         let bvh = OutputFormat::Bvh.content_type();
-        assert_eq!(from_accept(&HeaderMap::new()).ok(), Some(OutputFormat::Json));
+        assert_eq!(
+            from_accept(&HeaderMap::new()).ok(),
+            Some(OutputFormat::Json)
+        );
         assert_eq!(accept("*/*"), Some(OutputFormat::Json));
         assert_eq!(accept(""), Some(OutputFormat::Json));
         assert_eq!(accept("application/json"), Some(OutputFormat::Json));

@@ -63,7 +63,9 @@ struct OptionSpec {
 enum Accepts {
     Words(&'static [&'static str]),
     IntegerOf(&'static [u32]),
-    Integer { least: u64 },
+    Integer {
+        least: u64,
+    },
     /// At least 0.
     Number,
     /// Above 0.
@@ -366,9 +368,9 @@ impl utoipa::PartialSchema for GenerateForm {
         let form = ObjectBuilder::new()
             .property("file", audio)
             .required("file")
-            .additional_properties(Some(utoipa::openapi::schema::AdditionalProperties::<
-                Schema,
-            >::FreeForm(false)));
+            .additional_properties(Some(
+                utoipa::openapi::schema::AdditionalProperties::<Schema>::FreeForm(false),
+            ));
         OPTIONS
             .iter()
             .fold(form, |form, option| {
@@ -440,7 +442,10 @@ mod tests {
             let problem = query(text).unwrap_err();
             assert!(problem.contains(wanted), "{text}: {problem}");
         };
-        says("fps=25", "option `fps`: got \"25\", expected one of 20, 24, 30, 60");
+        says(
+            "fps=25",
+            "option `fps`: got \"25\", expected one of 20, 24, 30, 60",
+        );
         says("seed=-1", "expected a whole number, 0 or more");
         says("seed=18446744073709551616", "option `seed`");
         says("seed=", "option `seed`: got \"\"");
@@ -454,8 +459,14 @@ mod tests {
         says("duration_s=inf", "option `duration_s`");
         says("root_motion=maybe", "expected true or false");
         says("include=everything", "expected rotations");
-        says("seed=1&seed=1", "option `seed`: it was given more than once");
-        says("sede=1", "there is no such option; there are format, fps, seed");
+        says(
+            "seed=1&seed=1",
+            "option `seed`: it was given more than once",
+        );
+        says(
+            "sede=1",
+            "there is no such option; there are format, fps, seed",
+        );
         says("continue_from=x", "not available yet");
         says("format=glb", "glb is not available yet in this version");
         says("format=mp4", "expected one of json, bvh");
