@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{features::Profile, motion::Skeleton};
+use crate::{
+    features::{COLUMNS, HOP, Profile, Rate},
+    motion::Skeleton,
+};
 
 /// The manifest layout this version reads and writes.
 pub const FORMAT_VERSION: u32 = 1;
@@ -143,4 +146,145 @@ pub struct FileEntry {
     pub bytes: u64,
     /// SHA-256, lower-case hexadecimal.
     pub sha256: String,
+}
+
+/// Files that every model directory has besides its manifest.
+const REQUIRED_FILES: [&str; 3] = ["gpt.onnx", "decoder.onnx", "encoder.onnx"];
+
+impl Manifest {
+    /// Columns of the decoded motion: three per joint.
+    #[must_use]
+    pub fn motion_columns(&self) -> usize {
+        3 * self.skeleton.joints.len()
+    }
+
+    /// Pose codes per second.
+    #[must_use]
+    pub fn codes_per_second(&self) -> f64 {
+        f64::from(self.fps) / self.frames_per_code as f64
+    }
+
+    /// Checks that the manifest does not contradict itself or this version.
+    ///
+    /// # Errors
+    /// One line that says what does not fit.
+    pub fn validate(&self) -> Result<(), String> {
+        if self.format_version != FORMAT_VERSION {
+            return Err(format!(
+                "format_version is {}, this version reads {FORMAT_VERSION}",
+                self.format_version
+            ));
+        }
+        self.validate_rates()?;
+        self.validate_sizes()?;
+        self.validate_sampling()?;
+        self.skeleton.validate().map_err(|e| e.to_string())?;
+        self.validate_joints()?;
+        self.validate_files()
+    }
+
+    fn validate_rates(&self) -> Result<(), String> {
+        let features = &self.features;
+        let rate = Rate::Conditioning;
+        if features.sample_rate != rate.hz() || features.hop != HOP || features.columns != COLUMNS {
+            return Err(format!(
+                "features are {} columns every {} samples at {} Hz, this version computes {COLUMNS} \
+                 every {HOP} at {}",
+                features.columns,
+                features.hop,
+                features.sample_rate,
+                rate.hz()
+            ));
+        }
+        let one_row_per_code = self.frames_per_code > 0
+            && (self.codes_per_second() - rate.rows_per_second()).abs() < 1e-9;
+        if self.fps != 60 || !one_row_per_code {
+            return Err(format!(
+                "{} fps with {} frames per code: expected 60 and 8, one code per music row",
+                self.fps, self.frames_per_code
+            ));
+        }
+        Ok(())
+    }
+
+    fn validate_sizes(&self) -> Result<(), String> {
+        let gpt = self.gpt;
+        if gpt.heads == 0 || gpt.channels == 0 || !gpt.channels.is_multiple_of(gpt.heads) {
+            return Err(format!(
+                "{} channels cannot be shared by {} heads",
+                gpt.channels, gpt.heads
+            ));
+        }
+        if gpt.layers == 0 || gpt.context == 0 || gpt.context > gpt.block {
+            return Err(format!(
+                "gpt has {} layers and a context of {} in a block of {}",
+                gpt.layers, gpt.context, gpt.block
+            ));
+        }
+        let limit = u32::MAX as usize;
+        let Vocabulary { upper, lower } = self.vocabulary;
+        if upper == 0 || lower == 0 || upper > limit || lower > limit {
+            return Err(format!(
+                "the vocabulary has {upper} upper and {lower} lower codes"
+            ));
+        }
+        Ok(())
+    }
+
+    fn validate_sampling(&self) -> Result<(), String> {
+        let Vocabulary { upper, lower } = self.vocabulary;
+        let fits = |&[u, l]: &[u32; 2]| (u as usize) < upper && (l as usize) < lower;
+        if let Some([u, l]) = self.start_codes.iter().find(|pair| !fits(pair)) {
+            return Err(format!("start codes {u}, {l} lie outside the vocabulary"));
+        }
+        let SamplingDefaults {
+            temperature,
+            top_k,
+            hop,
+            ..
+        } = self.sampling;
+        if !temperature.is_finite() || temperature < 0.0 {
+            return Err(format!("sampling temperature is {temperature}"));
+        }
+        if top_k == Some(0) {
+            return Err("sampling top_k is 0".into());
+        }
+        if hop == 0 || hop > self.gpt.context {
+            return Err(format!(
+                "sampling hop is {hop}, the context {}",
+                self.gpt.context
+            ));
+        }
+        Ok(())
+    }
+
+    fn validate_joints(&self) -> Result<(), String> {
+        let mut joints: Vec<_> = self.upper_joints.iter().chain(&self.lower_joints).collect();
+        joints.sort_unstable();
+        if joints
+            .into_iter()
+            .ne(&(0..self.skeleton.joints.len()).collect::<Vec<_>>())
+        {
+            return Err("upper_joints and lower_joints must hold each joint once".into());
+        }
+        Ok(())
+    }
+
+    fn validate_files(&self) -> Result<(), String> {
+        for name in REQUIRED_FILES {
+            if !self.files.contains_key(name) {
+                return Err(format!("files does not list {name}"));
+            }
+        }
+        // A directory from a stranger must not make us read outside of it.
+        let plain = |name: &str| {
+            !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '\0'])
+        };
+        match self.files.keys().find(|name| !plain(name)) {
+            Some(name) => Err(format!(
+                "files lists {name:?}, which is not a plain file name"
+            )),
+            None => Ok(()),
+        }
+    }
 }

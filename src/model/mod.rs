@@ -1,10 +1,19 @@
 //! Model directory, manifest and ONNX sessions: the only place that knows ONNX Runtime.
 
+mod directory;
 mod error;
+mod gpt;
 mod manifest;
+mod runtime;
+mod session;
+mod vqvae;
 
+pub use directory::{ModelDirectory, file_sha256};
 pub use error::ModelError;
+pub use gpt::{Gpt, KvCache, Logits, Steps};
 pub use manifest::{
     DecoderSpec, FORMAT_VERSION, FeatureSpec, FileEntry, GptSpec, Manifest, SamplingDefaults,
     Vocabulary, WeightStorage, WindowKind,
 };
+pub use runtime::LIBRARY_VARIABLE;
+pub use vqvae::{Decoder, Encoder};

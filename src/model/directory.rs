@@ -1,0 +1,141 @@
+//! A model directory: its manifest, and files that are what the manifest says.
+
+use std::{
+    fs::File,
+    io::{self, Read},
+    path::{Path, PathBuf},
+};
+
+use sha2::{Digest, Sha256};
+
+use super::{Decoder, Encoder, Gpt, Manifest, ModelError};
+
+/// Largest `manifest.json` that is read.
+const MANIFEST_LIMIT: u64 = 16 << 20;
+
+/// A verified model directory.
+#[derive(Clone, Debug)]
+pub struct ModelDirectory {
+    root: PathBuf,
+    manifest: Manifest,
+    manifest_sha256: String,
+}
+
+impl ModelDirectory {
+    /// Reads the manifest of `root` and checks every file it lists by size and SHA-256.
+    ///
+    /// # Errors
+    /// [`ModelError::Read`], [`ModelError::Manifest`] or [`ModelError::Mismatch`], naming the file.
+    pub fn open(root: &Path) -> Result<Self, ModelError> {
+        let path = root.join("manifest.json");
+        let text = read_limited(&path, MANIFEST_LIMIT)?;
+        let refuse = |problem: String| ModelError::Manifest {
+            path: path.clone(),
+            problem,
+        };
+        let manifest: Manifest =
+            serde_json::from_slice(&text).map_err(|e| refuse(e.to_string()))?;
+        manifest.validate().map_err(refuse)?;
+        for (name, entry) in &manifest.files {
+            check_file(&root.join(name), entry.bytes, &entry.sha256)?;
+        }
+        let manifest_sha256 = hexadecimal(&Sha256::digest(&text));
+        Ok(Self {
+            root: root.to_path_buf(),
+            manifest,
+            manifest_sha256,
+        })
+    }
+
+    /// The manifest.
+    #[must_use]
+    pub fn manifest(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    /// SHA-256 of the manifest, which names every other file's: it identifies the whole model.
+    #[must_use]
+    pub fn manifest_sha256(&self) -> &str {
+        &self.manifest_sha256
+    }
+
+    /// Loads the motion GPT.
+    ///
+    /// # Errors
+    /// See [`Gpt::open`].
+    pub fn gpt(&self, threads: usize) -> Result<Gpt, ModelError> {
+        Gpt::open(&self.root.join("gpt.onnx"), &self.manifest, threads)
+    }
+
+    /// Loads the decoder.
+    ///
+    /// # Errors
+    /// See [`Decoder::open`].
+    pub fn decoder(&self, threads: usize) -> Result<Decoder, ModelError> {
+        Decoder::open(&self.root.join("decoder.onnx"), &self.manifest, threads)
+    }
+
+    /// Loads the encoder.
+    ///
+    /// # Errors
+    /// See [`Encoder::open`].
+    pub fn encoder(&self, threads: usize) -> Result<Encoder, ModelError> {
+        Encoder::open(&self.root.join("encoder.onnx"), &self.manifest, threads)
+    }
+}
+
+fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, ModelError> {
+    let failed = |source| ModelError::Read {
+        path: path.to_path_buf(),
+        source,
+    };
+    let file = File::open(path).map_err(failed)?;
+    let mut bytes = Vec::new();
+    file.take(limit).read_to_end(&mut bytes).map_err(failed)?;
+    Ok(bytes)
+}
+
+fn check_file(path: &Path, bytes: u64, sha256: &str) -> Result<(), ModelError> {
+    let failed = |source| ModelError::Read {
+        path: path.to_path_buf(),
+        source,
+    };
+    let mismatch = |what, expected: String, found: String| {
+        Err(ModelError::Mismatch {
+            path: path.to_path_buf(),
+            what,
+            expected,
+            found,
+        })
+    };
+    let mut file = File::open(path).map_err(failed)?;
+    let length = file.metadata().map_err(failed)?.len();
+    if length != bytes {
+        return mismatch("the size in bytes", bytes.to_string(), length.to_string());
+    }
+    let found = file_sha256(&mut file).map_err(failed)?;
+    if found != sha256 {
+        return mismatch("the SHA-256", sha256.to_owned(), found);
+    }
+    Ok(())
+}
+
+/// SHA-256 of everything `file` still holds, lower-case hexadecimal.
+///
+/// # Errors
+/// Whatever reading gives.
+pub fn file_sha256(file: &mut impl Read) -> io::Result<String> {
+    let mut hash = Sha256::new();
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        let read = file.read(&mut buffer)?;
+        match buffer.get(..read) {
+            None | Some([]) => return Ok(hexadecimal(&hash.finalize())),
+            Some(part) => hash.update(part),
+        }
+    }
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}

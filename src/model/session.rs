@@ -1,0 +1,142 @@
+//! One ONNX session, and a run that a cancel token can interrupt.
+
+use std::{path::Path, sync::Arc};
+
+use ndarray::{ArrayView, Dimension};
+use ort::{
+    ep,
+    session::{RunOptions, Session, SessionInputValue, SessionOutputs},
+    value::{DynValue, Tensor},
+};
+
+use super::{ModelError, runtime};
+use crate::CancelToken;
+
+/// Named inputs of a run.
+pub(super) type Inputs<'value> = Vec<(String, SessionInputValue<'value>)>;
+
+/// A loaded graph.
+#[derive(Debug)]
+pub(super) struct Graph {
+    name: &'static str,
+    session: Session,
+}
+
+impl Graph {
+    /// Loads the graph at `path`; `name` appears in errors.
+    pub(super) fn open(
+        name: &'static str,
+        path: &Path,
+        threads: usize,
+    ) -> Result<Self, ModelError> {
+        let environment = runtime::environment()?;
+        let build = || -> ort::Result<Session> {
+            Session::builder(environment)?
+                .with_intra_threads(threads)?
+                .with_inter_threads(1)?
+                // The cache changes shape at every step: pattern and arena would only grow.
+                .with_memory_pattern(false)?
+                .with_intra_op_spinning(false)?
+                .with_execution_providers([ep::CPU::default().with_arena_allocator(false).build()])?
+                .commit_from_file(path)
+        };
+        let session = build().map_err(|e| ModelError::Graph {
+            path: path.to_path_buf(),
+            problem: e.to_string(),
+        })?;
+        Ok(Self { name, session })
+    }
+
+    /// Checks that the graph has exactly the named inputs.
+    pub(super) fn expect_inputs(&self, path: &Path, expected: &[String]) -> Result<(), ModelError> {
+        let mut found: Vec<_> = self
+            .session
+            .inputs()
+            .iter()
+            .map(|i| i.name().to_owned())
+            .collect();
+        let mut expected = expected.to_vec();
+        found.sort();
+        expected.sort();
+        if found == expected {
+            return Ok(());
+        }
+        Err(ModelError::Mismatch {
+            path: path.to_path_buf(),
+            what: "the graph's list of inputs",
+            expected: expected.join(" "),
+            found: found.join(" "),
+        })
+    }
+
+    /// Runs the graph and hands its outputs to `read`. Cancellation interrupts the run.
+    pub(super) fn run<T>(
+        &mut self,
+        inputs: Inputs<'_>,
+        cancel: &CancelToken,
+        read: impl FnOnce(&mut SessionOutputs<'_>) -> Result<T, ModelError>,
+    ) -> Result<T, ModelError> {
+        let graph = self.name;
+        let failed = |e: ort::Error| ModelError::Run {
+            graph,
+            problem: e.to_string(),
+        };
+        let options = Arc::new(RunOptions::new().map_err(failed)?);
+        let guard = cancel.interruptible({
+            let options = Arc::clone(&options);
+            move || {
+                // The only failure is a null handle, which cannot be; the token is checked anyway.
+                let _ = options.terminate();
+            }
+        });
+        let result = self.session.run_with_options(inputs, &options);
+        drop(guard);
+        if cancel.is_cancelled() {
+            return Err(ModelError::Cancelled);
+        }
+        read(&mut result.map_err(failed)?)
+    }
+}
+
+/// A tensor of 64-bit integers from codes or positions, `[1, n]`.
+pub(super) fn integers(
+    graph: &'static str,
+    values: impl Iterator<Item = i64>,
+) -> Result<DynValue, ModelError> {
+    let values: Vec<i64> = values.collect();
+    tensor(graph, Tensor::from_array(([1, values.len()], values)))
+}
+
+/// A tensor of floats that owns a copy of `values`.
+pub(super) fn floats<D: Dimension>(
+    graph: &'static str,
+    values: ArrayView<'_, f32, D>,
+) -> Result<DynValue, ModelError> {
+    let shape = values.shape().to_vec();
+    tensor(
+        graph,
+        Tensor::from_array((shape, values.iter().copied().collect::<Vec<f32>>())),
+    )
+}
+
+pub(super) fn tensor<T: ort::value::PrimitiveTensorElementType + std::fmt::Debug>(
+    graph: &'static str,
+    result: ort::Result<Tensor<T>>,
+) -> Result<DynValue, ModelError> {
+    result.map(Tensor::into_dyn).map_err(|e| ModelError::Run {
+        graph,
+        problem: e.to_string(),
+    })
+}
+
+/// Takes the named output out of a run.
+pub(super) fn take(
+    graph: &'static str,
+    outputs: &mut SessionOutputs<'_>,
+    name: &str,
+) -> Result<DynValue, ModelError> {
+    outputs.remove(name).ok_or_else(|| ModelError::Run {
+        graph,
+        problem: format!("it has no output named {name}"),
+    })
+}
