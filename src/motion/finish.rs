@@ -64,25 +64,18 @@ pub fn finish(
     options: &FinishOptions,
 ) -> Result<Finished, MotionError> {
     let solver = InverseKinematics::new(skeleton)?;
-    let mut positions = integrate_root(decoded, [0.0, skeleton.root_height, 0.0])?;
-    let mut animation = solver.solve(&positions, options.decoded_fps)?;
-    let keeps_rate = options.fps == options.decoded_fps;
-
-    let heights = standing_heights(&positions, &animation, skeleton, keeps_rate)?;
-    let lift = floor_correction(&heights, options.decoded_fps);
+    let decoded = integrate_root(decoded, [0.0, skeleton.root_height, 0.0])?;
+    let mut animation = resample(&solver.solve(&decoded, options.decoded_fps)?, options.fps)?;
+    let on_skeleton = forward(skeleton, &animation)?;
+    let mut heights = lower_foot_heights(&on_skeleton, skeleton);
+    let (mut positions, source) = if options.fps == options.decoded_fps {
+        heights = between(&lower_foot_heights(&decoded, skeleton), &heights);
+        (decoded, PositionsSource::Decoder)
+    } else {
+        (on_skeleton, PositionsSource::ForwardKinematics)
+    };
+    let lift = floor_correction(&heights, options.fps);
     move_root(&mut positions, &mut animation, &lift, options.root_motion);
-
-    let animation = resample(&animation, options.fps)?;
-    if keeps_rate {
-        let source = PositionsSource::Decoder;
-        return Ok(Finished {
-            animation,
-            positions,
-            source,
-        });
-    }
-    let positions = forward(skeleton, &animation)?;
-    let source = PositionsSource::ForwardKinematics;
     Ok(Finished {
         animation,
         positions,
@@ -90,24 +83,15 @@ pub fn finish(
     })
 }
 
-/// The lower foot's height by which the floor is found. The skeleton's legs are a little longer or
-/// shorter than decoded ones; where both results are handed out (the decoder's positions, and the
-/// rotations as BVH) the floor lies between them, so that each stands on it.
-fn standing_heights(
-    positions: &Positions,
-    animation: &Animation,
-    skeleton: &Skeleton,
-    both: bool,
-) -> Result<Vec<f32>, MotionError> {
-    let on_skeleton = lower_foot_heights(&forward(skeleton, animation)?, skeleton);
-    if !both {
-        return Ok(on_skeleton);
-    }
-    let mut heights = lower_foot_heights(positions, skeleton);
-    for (height, other) in heights.iter_mut().zip(on_skeleton) {
-        *height += (0.5 * (other - *height)).clamp(-SKELETON_SHARE, SKELETON_SHARE);
-    }
-    Ok(heights)
+/// Foot heights between the decoder's and the skeleton's, whose legs are a little longer or shorter.
+/// Both results are handed out (the decoder's positions, the rotations as BVH): with the floor between
+/// the two, each stands on it.
+fn between(decoder: &[f32], skeleton: &[f32]) -> Vec<f32> {
+    decoder
+        .iter()
+        .zip(skeleton)
+        .map(|(d, s)| d + (0.5 * (s - d)).clamp(-SKELETON_SHARE, SKELETON_SHARE))
+        .collect()
 }
 
 /// Lifts root and joints, and holds the root at x = z = 0 if it shall not travel.
