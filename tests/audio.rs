@@ -56,7 +56,11 @@ fn tone(n: usize, rate: u32) -> Vec<i16> {
 
 fn npy(bytes: &[u8]) -> Vec<f32> {
     let header = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
-    assert!(bytes[10..10 + header].windows(5).any(|part| part == b"'<f4'"));
+    assert!(
+        bytes[10..10 + header]
+            .windows(5)
+            .any(|part| part == b"'<f4'")
+    );
     bytes[10 + header..]
         .chunks_exact(4)
         .map(|four| f32::from_le_bytes(four.try_into().unwrap()))
@@ -94,12 +98,22 @@ mod formats {
         ] {
             let song = decode(fixture(name), &[LOW, HIGH]).unwrap();
             println!("{name}: {} s, {:?}", song.duration_s, song.warnings);
-            assert_eq!((song.sample_rate, song.channels), (rate, channels), "{name}");
+            assert_eq!(
+                (song.sample_rate, song.channels),
+                (rate, channels),
+                "{name}"
+            );
             assert_eq!(song.warnings, Vec::<String>::new(), "{name}");
-            assert!((song.duration_s - 30.0).abs() * f64::from(rate) < 1.5, "{name}");
+            assert!(
+                (song.duration_s - 30.0).abs() * f64::from(rate) < 1.5,
+                "{name}"
+            );
             let lag = lag(&song.signals[1], &flac.signals[1]);
             println!("{name}: lag {lag} samples at {HIGH} Hz");
-            assert!(lag.abs() <= 31, "{name} is {lag} samples of 1/{HIGH} s late");
+            assert!(
+                lag.abs() <= 31,
+                "{name} is {lag} samples of 1/{HIGH} s late"
+            );
         }
     }
 

@@ -242,7 +242,9 @@ impl<'job> Sink<'job> {
 
     /// Whether all that is wanted has been seen.
     fn is_done(&self) -> bool {
-        self.window.end.is_some_and(|end| self.window.position >= end)
+        self.window
+            .end
+            .is_some_and(|end| self.window.position >= end)
     }
 
     fn take(&mut self, mono: &[f32]) -> Result<(), AudioError> {
@@ -250,7 +252,8 @@ impl<'job> Sink<'job> {
         let decoded_s = self.received as f64 / f64::from(self.rate);
         self.job.limits.check_length(decoded_s - SLACK_S)?;
         let (window, outputs) = (&mut self.window, &mut self.outputs);
-        self.trim.pass(mono, |heard| use_part(window, outputs, heard));
+        self.trim
+            .pass(mono, |heard| use_part(window, outputs, heard));
         self.check_used_length()
     }
 

@@ -146,12 +146,14 @@ impl Packets {
                     faults_in_a_row = 0;
                     // A packet of no bytes counts as one, so that tables of them end as well.
                     let cost = packet.data.len().max(1);
-                    self.allowance = self.allowance.checked_sub(cost).ok_or_else(|| {
-                        AudioError::Malformed {
-                            container: self.container,
-                            reason: "its tables list more audio than the file has bytes".to_owned(),
-                        }
-                    })?;
+                    self.allowance =
+                        self.allowance
+                            .checked_sub(cost)
+                            .ok_or_else(|| AudioError::Malformed {
+                                container: self.container,
+                                reason: "its tables list more audio than the file has bytes"
+                                    .to_owned(),
+                            })?;
                     if packet.track_id == self.track.id {
                         return Ok(Some(packet));
                     }
@@ -200,12 +202,13 @@ fn open_reader(upload: &Upload) -> Result<Box<dyn FormatReader>, SymphoniaError>
 }
 
 fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackInfo, AudioError> {
-    let track = reader
-        .default_track(TrackType::Audio)
-        .ok_or_else(|| AudioError::UnsupportedCodec {
-            container,
-            codec: "no audio track that can be read".to_owned(),
-        })?;
+    let track =
+        reader
+            .default_track(TrackType::Audio)
+            .ok_or_else(|| AudioError::UnsupportedCodec {
+                container,
+                codec: "no audio track that can be read".to_owned(),
+            })?;
     let Some(CodecParameters::Audio(parameters)) = &track.codec_params else {
         return Err(AudioError::Malformed {
             container,
@@ -234,7 +237,10 @@ fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
     } else if parameters.codec == CODEC_ID_NULL_AUDIO {
         "an unknown codec".to_owned()
     } else {
-        format!("a codec without a decoder here (number {})", parameters.codec)
+        format!(
+            "a codec without a decoder here (number {})",
+            parameters.codec
+        )
     }
 }
 

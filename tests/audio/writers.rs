@@ -2,7 +2,13 @@
 
 /// A WAV file with the given header fields and data, whether they make sense or not.
 pub fn wav(channels: u16, rate: u32, bits: u16, data: &[u8]) -> Vec<u8> {
-    wav_declaring(channels, rate, bits, data, u32::try_from(data.len()).unwrap())
+    wav_declaring(
+        channels,
+        rate,
+        bits,
+        data,
+        u32::try_from(data.len()).unwrap(),
+    )
 }
 
 /// A WAV file that declares `declared` bytes of data.
