@@ -7,20 +7,20 @@ use ndarray::{Array2, Array3};
 
 /// The skeleton of the motion that models are trained on.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn skeleton() -> Skeleton {
+pub(crate) fn skeleton() -> Skeleton {
     serde_json::from_str(include_str!("../fixtures/motion/skeleton.json")).unwrap()
 }
 
 /// A file of `tests/fixtures/motion`.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn fixture(name: &str) -> Array2<f32> {
+pub(crate) fn fixture(name: &str) -> Array2<f32> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/motion");
     ndarray_npy::read_npy(folder.join(name)).unwrap()
 }
 
 /// All recordings in the folder of a data set.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn recordings(folder: &Path) -> Vec<(PathBuf, Positions)> {
+pub(crate) fn recordings(folder: &Path) -> Vec<(PathBuf, Positions)> {
     let mut paths: Vec<PathBuf> = std::fs::read_dir(folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -38,7 +38,7 @@ pub fn recordings(folder: &Path) -> Vec<(PathBuf, Positions)> {
 /// What a perfect decoder would put out for a recording: root velocity in columns 0..3, the other
 /// joints relative to the root.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn decoded_from(positions: &Positions) -> Array2<f32> {
+pub(crate) fn decoded_from(positions: &Positions) -> Array2<f32> {
     let (frames, joints, _) = positions.dim();
     Array2::from_shape_fn((frames, 3 * joints), |(frame, column)| {
         let (joint, axis) = (column / 3, column % 3);
@@ -53,7 +53,7 @@ pub fn decoded_from(positions: &Positions) -> Array2<f32> {
 
 /// Mean and largest distance of joints, metres.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn distances(a: &Positions, b: &Positions) -> (f64, f64) {
+pub(crate) fn distances(a: &Positions, b: &Positions) -> (f64, f64) {
     assert_eq!(a.dim(), b.dim());
     let (mut sum, mut largest) = (0.0_f64, 0.0_f64);
     for (pose_a, pose_b) in a.outer_iter().zip(b.outer_iter()) {
