@@ -94,6 +94,9 @@ impl Dance {
         if !finite {
             return fail("a value is not finite".into());
         }
+        if !rotations.iter().flatten().all(|q| q.is_normalized()) {
+            return fail("a rotation is not of unit length".into());
+        }
         Ok(())
     }
 }

@@ -1,8 +1,14 @@
 //! Motions for the integration tests of `motion` and `format`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
-use bailando::motion::{Positions, Skeleton};
+use bailando::{
+    format::{Codes, Dance, MusicInfo, Timings},
+    motion::{FinishOptions, Positions, Skeleton, finish},
+};
 use ndarray::{Array2, Array3};
 
 /// The skeleton of the motion that models are trained on.
@@ -69,4 +75,33 @@ pub(crate) fn distances(a: &Positions, b: &Positions) -> (f64, f64) {
     }
     let (frames, joints, _) = a.dim();
     (sum / (frames * joints) as f64, largest)
+}
+
+/// A dance around a motion that looks like a decoder's output.
+#[allow(dead_code, reason = "not every test binary uses every helper")]
+pub(crate) fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> Dance {
+    let done = finish(decoded.view(), &skeleton(), options).unwrap();
+    let codes = decoded.dim().0 as u32 / 8;
+    Dance {
+        model: "tiny".into(),
+        seed: 7,
+        skeleton: skeleton(),
+        animation: done.animation,
+        positions: done.positions,
+        positions_source: done.source,
+        codes: Codes {
+            upper: (0..codes).map(|k| k % 5).collect(),
+            lower: (0..codes).map(|k| k % 3).collect(),
+        },
+        music: Some(MusicInfo {
+            tempo_bpm: 104.0,
+            beats_s: vec![0.5, 1.0769],
+        }),
+        audio_seconds: decoded.dim().0 as f64 / 60.0,
+        timings: Timings {
+            inference: Duration::from_micros(12_345),
+            ..Timings::default()
+        },
+        warnings: vec!["0.1 s of silence were trimmed".into()],
+    }
 }
