@@ -1,11 +1,28 @@
 //! Audio in, dance out: the one path that the server and the command line share.
 
-use std::{path::PathBuf, sync::Arc};
+use std::{
+    path::PathBuf,
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
 
 use bytes::Bytes;
+use ndarray::Array2;
 
-use super::{EngineError, GenerationOptions};
-use crate::{CancelToken, Result, audio::AudioLimits, format::Dance, model::Manifest};
+use super::{
+    EngineError, GenerationOptions, Progress, Stage,
+    sampler::{Sampling, draw_seed},
+    window::Window,
+    worker::{Job, Outcome, Worker},
+};
+use crate::{
+    CancelToken, Error, Result,
+    audio::{self, AudioError, AudioLimits},
+    features::{COLUMNS, FeatureExtractor, Profile, Rate},
+    format::{Codes, Dance, MusicInfo, Timings},
+    model::{Manifest, ModelDirectory},
+    motion::{self, FinishOptions},
+};
 
 /// What a [`Choreographer`] needs to start.
 #[derive(Clone, Debug)]
@@ -23,7 +40,31 @@ pub struct EngineConfig {
 /// Handle to a loaded model; clones share it.
 #[derive(Clone, Debug)]
 pub struct Choreographer {
-    manifest: Arc<Manifest>,
+    shared: Arc<Shared>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    directory: ModelDirectory,
+    worker: Worker,
+    limits: AudioLimits,
+    conditioning: ExtractorPool,
+    beats: ExtractorPool,
+}
+
+/// Codes and motion from given feature rows, before anything is made of the motion.
+#[derive(Clone, Debug)]
+pub struct RawDance {
+    /// The seed that was used.
+    pub seed: u64,
+    /// The pose codes.
+    pub codes: Codes,
+    /// Decoder output `[frames, 3 joints]`: root velocity in columns 0..2, root-relative joints.
+    pub motion: Array2<f32>,
+    /// Waiting for the model.
+    pub queued: Duration,
+    /// Codes and decoded motion.
+    pub inference: Duration,
 }
 
 impl Choreographer {
@@ -31,22 +72,40 @@ impl Choreographer {
     ///
     /// # Errors
     /// [`crate::model::ModelError`] says which file of the directory is wrong and why.
-    pub fn open(_config: &EngineConfig) -> Result<Self> {
-        Err(EngineError::Stopped.into())
+    pub fn open(config: &EngineConfig) -> Result<Self> {
+        let directory = ModelDirectory::open(&config.model_dir)?;
+        let worker = Worker::start(directory.clone(), config.threads.max(1), config.queue)?;
+        let profile = directory.manifest().features.profile;
+        Ok(Self {
+            shared: Arc::new(Shared {
+                directory,
+                worker,
+                limits: config.audio.clone(),
+                conditioning: ExtractorPool::new(Rate::Conditioning, profile),
+                // Beats for people are those of the current profile, whatever the model hears.
+                beats: ExtractorPool::new(Rate::Beats, Profile::Librosa011),
+            }),
+        })
     }
 
     /// The loaded model's manifest.
     #[must_use]
     pub fn manifest(&self) -> &Manifest {
-        &self.manifest
+        self.shared.directory.manifest()
+    }
+
+    /// SHA-256 of the loaded manifest, which identifies the whole model.
+    #[must_use]
+    pub fn model_sha256(&self) -> &str {
+        self.shared.directory.manifest_sha256()
     }
 
     /// Checks `options` against the model without any work.
     ///
     /// # Errors
     /// [`EngineError::Option`] names the first option that does not fit.
-    pub fn check(&self, _options: &GenerationOptions) -> Result<(), EngineError> {
-        Ok(())
+    pub fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
+        options.check(self.manifest())
     }
 
     /// Generates one dance. Blocks: decoding and features run on the calling thread, the model on
@@ -56,10 +115,217 @@ impl Choreographer {
     /// Any [`crate::Error`]; [`EngineError::Cancelled`] soon after `cancel` is triggered.
     pub fn generate(
         &self,
-        _audio: Bytes,
-        _options: &GenerationOptions,
-        _cancel: &CancelToken,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
     ) -> Result<Dance> {
-        Err(EngineError::Stopped.into())
+        self.generate_with_progress(audio, options, cancel, Arc::new(()))
     }
+
+    /// [`Choreographer::generate`] that reports how far it has come.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn generate_with_progress(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        progress: Arc<dyn Progress>,
+    ) -> Result<Dance> {
+        self.check(options)?;
+        let mut timings = Timings::default();
+        progress.stage(Stage::Decoding);
+        let heard = timed(&mut timings.decode, || self.hear(audio, options, cancel))?;
+        progress.stage(Stage::Features);
+        let listened = timed(&mut timings.features, || {
+            self.listen(&heard, options, cancel)
+        })?;
+        let raw = self.dance_to_rows(listened.rows, options, cancel, progress)?;
+        timings.queue = raw.queued;
+        timings.inference = raw.inference;
+        let finish = FinishOptions {
+            fps: options.fps,
+            root_motion: options.root_motion,
+            decoded_fps: self.manifest().fps,
+        };
+        let skeleton = &self.manifest().skeleton;
+        let finished = timed(&mut timings.motion, || {
+            motion::finish(raw.motion.view(), skeleton, &finish)
+        })?;
+        Ok(Dance {
+            model: self.manifest().name.clone(),
+            seed: raw.seed,
+            skeleton: skeleton.clone(),
+            animation: finished.animation,
+            positions: finished.positions,
+            positions_source: finished.source,
+            codes: raw.codes,
+            music: listened.music,
+            audio_seconds: heard.duration_s,
+            timings,
+            warnings: heard.warnings,
+        })
+    }
+
+    /// Generates codes and raw motion from feature rows `[rows, 438]`; blocks.
+    ///
+    /// # Errors
+    /// [`EngineError::Option`] for rows of another width or too few, else as
+    /// [`Choreographer::generate`].
+    pub fn dance_to_rows(
+        &self,
+        rows: Array2<f32>,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        progress: Arc<dyn Progress>,
+    ) -> Result<RawDance> {
+        self.check(options)?;
+        check_rows(&rows)?;
+        let manifest = self.manifest();
+        let defaults = manifest.sampling;
+        let seed = options.seed.map_or_else(draw_seed, Ok)?;
+        progress.stage(Stage::Generating);
+        let job = Job {
+            music: rows,
+            sampling: Sampling {
+                temperature: options.temperature.unwrap_or(defaults.temperature),
+                top_k: options.top_k.or(defaults.top_k),
+            },
+            seed,
+            start: [options.start_upper, options.start_lower],
+            window: Window::new(
+                options.window.unwrap_or(defaults.window),
+                options.hop.unwrap_or(defaults.hop),
+                manifest.gpt.context,
+            ),
+            progress,
+            cancel: cancel.clone(),
+        };
+        let Outcome {
+            codes,
+            motion,
+            queued,
+            inference,
+        } = self.shared.worker.run(job)?;
+        Ok(RawDance {
+            seed,
+            codes,
+            motion,
+            queued,
+            inference,
+        })
+    }
+
+    fn hear(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+    ) -> Result<audio::DecodedAudio> {
+        let both = [Rate::Conditioning.hz(), Rate::Beats.hz()];
+        let rates = if options.music { &both[..] } else { &both[..1] };
+        audio::decode(audio, options.range, rates, &self.shared.limits, cancel).map_err(|error| {
+            match error {
+                AudioError::Cancelled => EngineError::Cancelled.into(),
+                other => Error::from(other),
+            }
+        })
+    }
+
+    fn listen(
+        &self,
+        heard: &audio::DecodedAudio,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+    ) -> Result<Listened> {
+        let signal = |index: usize| heard.signals.get(index).map_or(&[][..], Vec::as_slice);
+        check_cancelled(cancel)?;
+        let rows = self
+            .shared
+            .conditioning
+            .with(|extractor| extractor.extract(signal(0)))?;
+        check_cancelled(cancel)?;
+        let music = if options.music {
+            let beats = self
+                .shared
+                .beats
+                .with(|extractor| extractor.beats(signal(1)))?;
+            let seconds = |&frame: &usize| frame as f64 / Rate::Beats.rows_per_second();
+            let beats_s = beats.frames.iter().map(seconds).collect();
+            Some(MusicInfo {
+                tempo_bpm: beats.tempo_bpm,
+                beats_s,
+            })
+        } else {
+            None
+        };
+        check_cancelled(cancel)?;
+        Ok(Listened { rows, music })
+    }
+}
+
+struct Listened {
+    rows: Array2<f32>,
+    music: Option<MusicInfo>,
+}
+
+/// Feature extractors planned once and lent out, one per thread that needs one at a time.
+#[derive(Debug)]
+struct ExtractorPool {
+    rate: Rate,
+    profile: Profile,
+    idle: Mutex<Vec<FeatureExtractor>>,
+}
+
+impl ExtractorPool {
+    fn new(rate: Rate, profile: Profile) -> Self {
+        Self {
+            rate,
+            profile,
+            idle: Mutex::new(Vec::new()),
+        }
+    }
+
+    /// Lends an extractor to `work`. One that saw a panic is not put back.
+    fn with<T>(&self, work: impl FnOnce(&mut FeatureExtractor) -> T) -> T {
+        let idle = || self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let lent = idle().pop();
+        let mut extractor = lent.unwrap_or_else(|| FeatureExtractor::new(self.rate, self.profile));
+        let result = work(&mut extractor);
+        idle().push(extractor);
+        result
+    }
+}
+
+fn check_cancelled(cancel: &CancelToken) -> Result<(), EngineError> {
+    if cancel.is_cancelled() {
+        Err(EngineError::Cancelled)
+    } else {
+        Ok(())
+    }
+}
+
+fn check_rows(rows: &Array2<f32>) -> Result<(), EngineError> {
+    let problem = if rows.ncols() != COLUMNS || rows.nrows() < 2 {
+        format!(
+            "expected at least 2 rows of {COLUMNS} columns, got {:?}",
+            rows.dim()
+        )
+    } else if rows.iter().any(|value| !value.is_finite()) {
+        "a value is not a finite number".into()
+    } else {
+        return Ok(());
+    };
+    Err(EngineError::Option {
+        name: "features",
+        problem,
+    })
+}
+
+fn timed<T>(elapsed: &mut Duration, work: impl FnOnce() -> T) -> T {
+    let started = Instant::now();
+    let result = work();
+    *elapsed = started.elapsed();
+    result
 }

@@ -21,6 +21,12 @@ pub enum EngineError {
     /// The caller no longer wants the result.
     #[error("the generation was cancelled")]
     Cancelled,
+    /// A defect of ours, caught: it costs this request only.
+    #[error("the generation failed unexpectedly")]
+    Panicked,
+    /// The operating system gives no random numbers.
+    #[error("no seed could be drawn: {0}")]
+    NoRandomness(String),
     /// The model thread has stopped.
     #[error("the model is no longer running")]
     Stopped,

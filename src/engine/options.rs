@@ -1,6 +1,14 @@
 //! What a caller may choose about a generation.
 
-use crate::{audio::AudioRange, model::WindowKind};
+use super::{EngineError, MAX_SEED};
+use crate::{
+    audio::AudioRange,
+    model::{Manifest, WindowKind},
+    motion,
+};
+
+/// Highest temperature: beyond it every code is as likely as the next.
+pub const MAX_TEMPERATURE: f32 = 10.0;
 
 /// What a caller may choose about a generation (API.md). `None` means the manifest's default.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,5 +52,87 @@ impl Default for GenerationOptions {
             root_motion: true,
             music: false,
         }
+    }
+}
+
+impl GenerationOptions {
+    /// Checks every option against the model of `manifest`.
+    ///
+    /// # Errors
+    /// [`EngineError::Option`] names the first option that does not fit, and what does.
+    pub fn check(&self, manifest: &Manifest) -> Result<(), EngineError> {
+        let refuse = |name, problem| Err(EngineError::Option { name, problem });
+        if let Some(seed) = self.seed.filter(|&seed| seed > MAX_SEED) {
+            return refuse(
+                "seed",
+                format!("{seed} is too large, the largest is {MAX_SEED}"),
+            );
+        }
+        if let Some(t) = self
+            .temperature
+            .filter(|t| !(0.0..=MAX_TEMPERATURE).contains(t))
+        {
+            return refuse(
+                "temperature",
+                format!("{t} is not between 0 and {MAX_TEMPERATURE}"),
+            );
+        }
+        let vocabulary = manifest.vocabulary;
+        check_between(
+            "top_k",
+            self.top_k,
+            1,
+            vocabulary.upper.max(vocabulary.lower),
+        )?;
+        let code = |start: Option<u32>| start.map(|code| code as usize);
+        check_between(
+            "start_upper",
+            code(self.start_upper),
+            0,
+            vocabulary.upper - 1,
+        )?;
+        check_between(
+            "start_lower",
+            code(self.start_lower),
+            0,
+            vocabulary.lower - 1,
+        )?;
+        check_between("hop", self.hop, 1, manifest.gpt.context)?;
+        if !motion::FRAME_RATES.contains(&self.fps) {
+            let rates = motion::FRAME_RATES.map(|rate| rate.to_string()).join(", ");
+            return refuse("fps", format!("{} is not one of {rates}", self.fps));
+        }
+        let AudioRange {
+            offset_s,
+            duration_s,
+        } = self.range;
+        if !offset_s.is_finite() || offset_s < 0.0 {
+            return refuse(
+                "offset_s",
+                format!("{offset_s} is not a time in seconds from 0 on"),
+            );
+        }
+        match duration_s.filter(|duration| !duration.is_finite() || *duration <= 0.0) {
+            Some(d) => refuse(
+                "duration_s",
+                format!("{d} is not a length in seconds above 0"),
+            ),
+            None => Ok(()),
+        }
+    }
+}
+
+fn check_between(
+    name: &'static str,
+    value: Option<usize>,
+    lowest: usize,
+    highest: usize,
+) -> Result<(), EngineError> {
+    match value.filter(|value| !(lowest..=highest).contains(value)) {
+        Some(value) => Err(EngineError::Option {
+            name,
+            problem: format!("{value} is not between {lowest} and {highest}"),
+        }),
+        None => Ok(()),
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::motion::{Animation, Positions, Skeleton};
+use crate::motion::{Animation, Positions, PositionsSource, Skeleton};
 
 /// Pose codes of the two half bodies, one pair per 8 frames at 60 fps.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -20,15 +20,6 @@ pub struct MusicInfo {
     pub tempo_bpm: f64,
     /// Beats in seconds from the start of the dance.
     pub beats_s: Vec<f64>,
-}
-
-/// Where [`Dance::positions`] come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PositionsSource {
-    /// The decoder's own positions (60 fps).
-    Decoder,
-    /// Forward kinematics of resampled rotations.
-    ForwardKinematics,
 }
 
 /// Wall time per stage.

@@ -3,5 +3,6 @@
 mod dance;
 mod error;
 
-pub use dance::{Codes, Dance, MusicInfo, PositionsSource, Timings};
+pub use crate::motion::PositionsSource;
+pub use dance::{Codes, Dance, MusicInfo, Timings};
 pub use error::FormatError;

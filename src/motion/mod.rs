@@ -1,10 +1,27 @@
 //! Skeleton, root integration, rotations by inverse kinematics, forward kinematics, the floor,
 //! and resampling of the frame rate.
+//!
+//! Metres, y up, right-handed; the rest pose faces +z with the left side at +x.
 
 mod error;
+mod finish;
+mod fit;
+mod floor;
+mod forward;
+mod inverse;
+mod resample;
+mod root;
 mod skeleton;
+#[cfg(test)]
+mod tests;
 
 pub use error::MotionError;
+pub use finish::{FinishOptions, Finished, PositionsSource, finish};
+pub use floor::{STANDING_HEIGHT, floor_correction, lower_foot_heights};
+pub use forward::forward;
+pub use inverse::InverseKinematics;
+pub use resample::{FRAME_RATES, resample};
+pub use root::integrate_root;
 pub use skeleton::Skeleton;
 
 use glam::{Quat, Vec3};

@@ -1,0 +1,114 @@
+//! The generation loop of one request: music rows in, pose codes out, codes to motion.
+
+use ndarray::{Array2, ArrayView2, Axis, Slice};
+
+use super::{
+    progress::Progress,
+    sampler::Sampler,
+    window::{Window, WindowStep},
+};
+use crate::{
+    CancelToken,
+    format::Codes,
+    model::{Decoder, Gpt, ModelError, Steps},
+};
+
+/// Codes decoded per chunk besides the overlap: two shapes at most are decoded per song.
+const CHUNK_CODES: usize = 64;
+
+/// What one request's loop runs on.
+pub(crate) struct Request<'a> {
+    /// Music rows `[rows, columns]`.
+    pub(crate) music: ArrayView2<'a, f32>,
+    /// The first code pair, upper and lower.
+    pub(crate) start: [u32; 2],
+    /// How the window of past codes moves.
+    pub(crate) window: Window,
+    /// Hears about every code.
+    pub(crate) progress: &'a dyn Progress,
+    /// Checked at every step.
+    pub(crate) cancel: &'a CancelToken,
+}
+
+/// Generates one code pair per music row, beginning with the start pair.
+pub(crate) fn generate_codes(
+    gpt: &mut Gpt,
+    sampler: &mut Sampler,
+    request: &Request<'_>,
+) -> Result<Codes, ModelError> {
+    let rows = request.music.nrows();
+    let [upper, lower] = request.start;
+    let mut codes = Codes {
+        upper: vec![upper],
+        lower: vec![lower],
+    };
+    let mut cache = gpt.empty_cache()?;
+    for step in 0..rows.saturating_sub(1) {
+        if request.cancel.is_cancelled() {
+            return Err(ModelError::Cancelled);
+        }
+        let first = match request.window.at(step) {
+            WindowStep::Extend => step,
+            WindowStep::Prime { start } => {
+                cache = gpt.empty_cache()?;
+                start
+            }
+        };
+        let steps = Steps {
+            upper: codes.upper.get(first..).unwrap_or_default(),
+            lower: codes.lower.get(first..).unwrap_or_default(),
+            // The row beside code k is k + 1: the reference drops the first row.
+            music: request
+                .music
+                .slice_axis(Axis(0), Slice::from(first + 1..step + 2)),
+        };
+        let logits = gpt.run(steps, &mut cache, request.cancel)?;
+        // Upper first: one generator per request serves both halves in this order.
+        codes.upper.push(sample_newest(sampler, &logits.upper));
+        codes.lower.push(sample_newest(sampler, &logits.lower));
+        request.progress.codes(step + 2, rows);
+    }
+    Ok(codes)
+}
+
+fn sample_newest(sampler: &mut Sampler, logits: &Array2<f32>) -> u32 {
+    let newest = logits.row(logits.nrows().saturating_sub(1));
+    // The vocabulary is at most u32::MAX: the manifest's check says so.
+    sampler.next(newest.iter().copied()) as u32
+}
+
+/// Decodes a whole piece in overlapping chunks: the same as at once, with bounded memory.
+///
+/// `receptive` codes on either side of a chunk are decoded with it and dropped again; only the
+/// piece's own ends see the zero padding (ARCHITECTURE section 2).
+pub(crate) fn decode_codes(
+    decoder: &mut Decoder,
+    codes: &Codes,
+    receptive: usize,
+    frames_per_code: usize,
+    cancel: &CancelToken,
+) -> Result<Array2<f32>, ModelError> {
+    let total = codes.upper.len();
+    let mut motion: Option<Array2<f32>> = None;
+    let mut from = 0;
+    while from < total {
+        let to = (from + CHUNK_CODES).min(total);
+        let first = from.saturating_sub(receptive);
+        let last = (to + receptive).min(total);
+        let upper = codes.upper.get(first..last).unwrap_or_default();
+        let lower = codes.lower.get(first..last).unwrap_or_default();
+        let decoded = decoder.decode(upper, lower, cancel)?;
+        let keep = Slice::from((from - first) * frames_per_code..(to - first) * frames_per_code);
+        let part = decoded.slice_axis(Axis(0), keep);
+        let motion =
+            motion.get_or_insert_with(|| Array2::zeros((total * frames_per_code, part.ncols())));
+        let place = Slice::from(from * frames_per_code..to * frames_per_code);
+        motion.slice_axis_mut(Axis(0), place).assign(&part);
+        from = to;
+    }
+    motion.ok_or_else(|| ModelError::Input {
+        what: "pose codes",
+        expected: "at least one pair".into(),
+        got: "none".into(),
+    })
+}

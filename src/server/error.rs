@@ -1,0 +1,223 @@
+//! What a caller is told when something is wrong: the one place where errors become a status and
+//! an `error_type`.
+
+use axum::{
+    body::Body,
+    http::{HeaderValue, Response, StatusCode, header},
+    response::IntoResponse,
+};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::config::{ByteSize, Seconds};
+use crate::{Error, audio::AudioError, engine::EngineError, features::FeatureError};
+
+/// The body of every answer that is not a success.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub struct ErrorBody {
+    /// What was wrong and what is accepted.
+    #[schema(example = "option `fps`: got \"25\", expected one of 20, 24, 30, 60")]
+    pub error: String,
+    /// Kind of error, for programs.
+    #[schema(example = "invalid_option")]
+    pub error_type: String,
+    /// The same as the header `x-request-id`; name it when you report a problem.
+    pub request_id: String,
+}
+
+/// Anything that keeps a request from its result.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ServerError {
+    #[error("option `{name}`: {problem}")]
+    Option { name: String, problem: String },
+    #[error("{0}")]
+    Multipart(String),
+    #[error(
+        "no audio was sent: send a file as part `file` of multipart/form-data, or as the body itself with content type audio/*"
+    )]
+    MissingAudio,
+    #[error("there is nothing at {path}: GET /docs lists what there is")]
+    NotFound { path: String },
+    #[error("{path} does not answer to {method}: GET /docs lists what it answers to")]
+    MethodNotAllowed { path: String, method: String },
+    #[error("the Accept header asks for {asked:?}, which is not available: expected {available}")]
+    NotAcceptable { asked: String, available: String },
+    #[error(
+        "the body was not sent in time: {idle} s without data and {total} s in all are allowed"
+    )]
+    UploadTimeout { idle: Seconds, total: Seconds },
+    #[error("the upload broke off before its end")]
+    UploadBroken,
+    #[error(
+        "the audio is larger than {limit} bytes: {lossy} bytes are accepted, {lossless} for wav and flac"
+    )]
+    TooLarge {
+        limit: u64,
+        lossy: ByteSize,
+        lossless: ByteSize,
+    },
+    #[error("{0}")]
+    UnsupportedMedia(String),
+    #[error("{queue} requests are waiting already: try again in {} s", retry_after.retry_after())]
+    QueueFull { queue: usize, retry_after: Seconds },
+    #[error("the server is shutting down: try again in {} s", retry_after.retry_after())]
+    Draining { retry_after: Seconds },
+    #[error("there was no result within {limit} s: try again in {} s, or send a shorter part", retry_after.retry_after())]
+    Timeout {
+        limit: Seconds,
+        retry_after: Seconds,
+    },
+    #[error("the server failed: {0}")]
+    Internal(String),
+    #[error(transparent)]
+    Dance(#[from] Error),
+}
+
+impl From<EngineError> for ServerError {
+    fn from(error: EngineError) -> Self {
+        Self::Dance(error.into())
+    }
+}
+
+/// Leaves with the response; the outermost layer, which knows the request's id, makes an
+/// [`ErrorBody`] of it.
+#[derive(Clone, Debug)]
+pub(crate) struct Report {
+    pub(crate) message: String,
+    pub(crate) error_type: &'static str,
+}
+
+impl ServerError {
+    fn classify(&self) -> (StatusCode, &'static str) {
+        match self {
+            Self::Option { .. } => (StatusCode::BAD_REQUEST, "invalid_option"),
+            Self::Multipart(_) => (StatusCode::BAD_REQUEST, "invalid_multipart"),
+            Self::MissingAudio => (StatusCode::BAD_REQUEST, "missing_audio"),
+            Self::UploadBroken => (StatusCode::BAD_REQUEST, "upload_broken"),
+            Self::NotFound { .. } => (StatusCode::NOT_FOUND, "not_found"),
+            Self::MethodNotAllowed { .. } => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
+            Self::NotAcceptable { .. } => (StatusCode::NOT_ACCEPTABLE, "not_acceptable"),
+            Self::UploadTimeout { .. } => (StatusCode::REQUEST_TIMEOUT, "upload_timeout"),
+            Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "payload_too_large"),
+            Self::UnsupportedMedia(_) => {
+                (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type")
+            }
+            Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full"),
+            Self::Draining { .. } => (StatusCode::SERVICE_UNAVAILABLE, "draining"),
+            Self::Timeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "timeout"),
+            Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
+            Self::Dance(error) => classify_dance(error),
+        }
+    }
+
+    fn retry_after(&self) -> Option<Seconds> {
+        match self {
+            Self::QueueFull { retry_after, .. }
+            | Self::Draining { retry_after }
+            | Self::Timeout { retry_after, .. } => Some(*retry_after),
+            // The model's own queue is as long as there are permits, so this is next to impossible;
+            // its places are given back at the pace of one step of the model.
+            Self::Dance(Error::Engine(EngineError::QueueFull { .. })) => Some(Seconds::new(1)),
+            _ => None,
+        }
+    }
+}
+
+fn classify_dance(error: &Error) -> (StatusCode, &'static str) {
+    const INTERNAL: (StatusCode, &str) = (StatusCode::INTERNAL_SERVER_ERROR, "internal");
+    match error {
+        Error::Audio(error) => classify_audio(error),
+        Error::Features(FeatureError::TooShort { .. }) => {
+            (StatusCode::UNPROCESSABLE_ENTITY, "audio_too_short")
+        }
+        Error::Features(FeatureError::NotFinite { .. }) => {
+            (StatusCode::UNPROCESSABLE_ENTITY, "undecodable_audio")
+        }
+        Error::Engine(EngineError::Option { .. }) => (StatusCode::BAD_REQUEST, "invalid_option"),
+        Error::Engine(EngineError::QueueFull { .. }) => {
+            (StatusCode::TOO_MANY_REQUESTS, "queue_full")
+        }
+        _ => INTERNAL,
+    }
+}
+
+fn classify_audio(error: &AudioError) -> (StatusCode, &'static str) {
+    const UNPROCESSABLE: StatusCode = StatusCode::UNPROCESSABLE_ENTITY;
+    match error {
+        AudioError::Empty => (UNPROCESSABLE, "empty_audio"),
+        AudioError::UnsupportedContainer { .. } | AudioError::UnsupportedCodec { .. } => {
+            (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type")
+        }
+        AudioError::TooShort { .. } => (UNPROCESSABLE, "audio_too_short"),
+        AudioError::TooLong { .. } => (UNPROCESSABLE, "audio_too_long"),
+        AudioError::RangeOutside { .. } | AudioError::InvalidRange { .. } => {
+            (StatusCode::BAD_REQUEST, "invalid_option")
+        }
+        AudioError::Malformed { .. }
+        | AudioError::SampleRate { .. }
+        | AudioError::Channels { .. }
+        | AudioError::DecodeTimeout { .. }
+        | AudioError::DecoderPanic { .. } => (UNPROCESSABLE, "undecodable_audio"),
+        AudioError::Cancelled | AudioError::OutputRate { .. } => {
+            (StatusCode::INTERNAL_SERVER_ERROR, "internal")
+        }
+    }
+}
+
+impl IntoResponse for ServerError {
+    fn into_response(self) -> Response<Body> {
+        let (status, error_type) = self.classify();
+        let message = if status == StatusCode::INTERNAL_SERVER_ERROR {
+            tracing::error!(error = %self, "request failed");
+            "something went wrong inside the server: report it with the request_id".to_owned()
+        } else {
+            self.to_string()
+        };
+        let retry_after = self.retry_after().map(Seconds::retry_after);
+        let mut response = Response::new(Body::empty());
+        *response.status_mut() = status;
+        if let Some(seconds) = retry_after {
+            response
+                .headers_mut()
+                .insert(header::RETRY_AFTER, HeaderValue::from(seconds));
+        }
+        response.extensions_mut().insert(Report {
+            message,
+            error_type,
+        });
+        response
+    }
+}
+
+/// Writes the body of an error answer. One that did not come from [`ServerError`] (the router's own,
+/// or a layer's) keeps its status and gets the message that fits it.
+pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response<Body> {
+    let (mut parts, _) = response.into_parts();
+    let Report {
+        message,
+        error_type,
+    } = parts.extensions.remove().unwrap_or_else(|| Report {
+        message: parts
+            .status
+            .canonical_reason()
+            .unwrap_or("the request cannot be answered")
+            .to_lowercase(),
+        error_type: if parts.status.is_server_error() {
+            "internal"
+        } else {
+            "invalid_request"
+        },
+    });
+    let body = serde_json::json!(ErrorBody {
+        error: message,
+        error_type: error_type.to_owned(),
+        request_id: request_id.to_owned(),
+    })
+    .to_string();
+    parts.headers.remove(header::CONTENT_LENGTH);
+    parts.headers.insert(
+        header::CONTENT_TYPE,
+        HeaderValue::from_static("application/json"),
+    );
+    Response::from_parts(parts, Body::from(body))
+}

@@ -1,0 +1,150 @@
+//! What the service says about itself.
+
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use utoipa::ToSchema;
+
+use super::{
+    config::Limits,
+    options::FRAME_RATES,
+    render::{FORMATS, OutputFormat},
+};
+use crate::model::{Manifest, WindowKind};
+
+/// Containers that the decoder accepts, told from their bytes.
+const AUDIO: [&str; 5] = ["wav", "flac", "mp3", "ogg/vorbis", "m4a/aac"];
+
+/// Answer of `GET /info`.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(crate) struct Info {
+    /// Version of the server.
+    #[schema(example = "0.1.0")]
+    version: &'static str,
+    model: ModelInfo,
+    /// Frame rates that a dance can have.
+    frame_rates: [u32; 4],
+    /// Formats of a dance, the default first.
+    formats: [FormatInfo; 2],
+    /// Audio that is accepted.
+    audio: [&'static str; 5],
+    limits: Limits,
+}
+
+/// The loaded model.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+struct ModelInfo {
+    /// Name, from the manifest.
+    name: String,
+    /// Licence of the weights.
+    licence: String,
+    /// SHA-256 of the loaded manifest as compact JSON. The manifest holds the hash of every other
+    /// file, so this tells models apart.
+    manifest_sha256: String,
+    /// Frames per second that the model itself makes.
+    fps: u32,
+    /// Pose codes per second of music.
+    codes_per_second: f64,
+    vocabulary: VocabularyInfo,
+    /// Longest history in pose codes.
+    context: usize,
+    sampling: SamplingInfo,
+    /// Version of the music features.
+    features: String,
+    skeleton: SkeletonInfo,
+}
+
+/// Number of pose codes per half body.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+struct VocabularyInfo {
+    upper: usize,
+    lower: usize,
+}
+
+/// The model's defaults for options of the same names.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+struct SamplingInfo {
+    temperature: f32,
+    top_k: Option<usize>,
+    #[schema(example = "hop")]
+    window: &'static str,
+    hop: usize,
+}
+
+/// Rest skeleton, y up, right-handed, facing +z.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+struct SkeletonInfo {
+    /// Joint names, SMPL order.
+    joints: Vec<String>,
+    /// Parent of each joint; -1 for the root.
+    parents: Vec<i32>,
+    /// Offset of each joint from its parent in metres.
+    offsets: Vec<[f32; 3]>,
+}
+
+/// A format of a dance.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+struct FormatInfo {
+    /// Value of the option `format`.
+    #[schema(example = "json")]
+    name: &'static str,
+    #[schema(example = "application/json")]
+    content_type: &'static str,
+}
+
+impl Info {
+    pub(crate) fn new(manifest: &Manifest, limits: &Limits) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION"),
+            model: ModelInfo::new(manifest),
+            frame_rates: FRAME_RATES,
+            formats: FORMATS.map(|format: OutputFormat| FormatInfo {
+                name: format.name(),
+                content_type: format.content_type(),
+            }),
+            audio: AUDIO,
+            limits: limits.clone(),
+        }
+    }
+}
+
+impl ModelInfo {
+    fn new(manifest: &Manifest) -> Self {
+        let sampling = &manifest.sampling;
+        let features = serde_json::to_value(manifest.features.profile).unwrap_or_default();
+        Self {
+            name: manifest.name.clone(),
+            licence: manifest.licence.clone(),
+            manifest_sha256: hash(manifest),
+            fps: manifest.fps,
+            codes_per_second: f64::from(manifest.fps) / manifest.frames_per_code.max(1) as f64,
+            vocabulary: VocabularyInfo {
+                upper: manifest.vocabulary.upper,
+                lower: manifest.vocabulary.lower,
+            },
+            context: manifest.gpt.context,
+            sampling: SamplingInfo {
+                temperature: sampling.temperature,
+                top_k: sampling.top_k,
+                window: match sampling.window {
+                    WindowKind::Hop => "hop",
+                    WindowKind::Sliding => "sliding",
+                },
+                hop: sampling.hop,
+            },
+            features: features.as_str().unwrap_or_default().to_owned(),
+            skeleton: SkeletonInfo {
+                joints: manifest.skeleton.joints.clone(),
+                parents: manifest.skeleton.parents.clone(),
+                offsets: manifest.skeleton.offsets.clone(),
+            },
+        }
+    }
+}
+
+fn hash(manifest: &Manifest) -> String {
+    let json = serde_json::to_vec(manifest).unwrap_or_default();
+    Sha256::digest(json)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}

@@ -1,0 +1,20 @@
+//! The log: lines on standard error, for people or for programs.
+
+use std::io::stderr;
+
+use tracing_subscriber::EnvFilter;
+
+/// Starts the log of this process; `RUST_LOG` chooses what is in it, by default everything of level
+/// info and above. A second call changes nothing.
+pub fn init_logging(json: bool) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(stderr);
+    // Fails only when there is a log already.
+    let _ = if json {
+        log.json().try_init()
+    } else {
+        log.try_init()
+    };
+}

@@ -1,0 +1,96 @@
+//! What kind of body a request has, from its headers.
+
+use axum::http::{HeaderMap, header};
+
+use super::{error::ServerError, options::shorten};
+
+/// How the audio comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Media {
+    /// The body is the audio.
+    Raw,
+    /// The audio is part `file` of a form.
+    Form,
+}
+
+impl Media {
+    /// Reads `Content-Type` and `Content-Encoding`. What the audio really is, its bytes tell.
+    ///
+    /// # Errors
+    /// [`ServerError::UnsupportedMedia`] for compressed bodies and for types that are not audio.
+    pub(crate) fn of(headers: &HeaderMap) -> Result<Self, ServerError> {
+        let text = |name| {
+            headers
+                .get(name)
+                .map(|value| String::from_utf8_lossy(value.as_bytes()).to_ascii_lowercase())
+        };
+        if let Some(encoding) = text(header::CONTENT_ENCODING)
+            && encoding.trim() != "identity"
+        {
+            return Err(ServerError::UnsupportedMedia(format!(
+                "content encoding {:?} is not accepted: send the audio file as it is",
+                shorten(&encoding)
+            )));
+        }
+        let Some(content_type) = text(header::CONTENT_TYPE) else {
+            return Ok(Self::Raw);
+        };
+        let kind = content_type.split(';').next().unwrap_or_default().trim();
+        match kind {
+            "multipart/form-data" => Ok(Self::Form),
+            // `curl --data-binary @song.mp3` names no type of its own and sends the form one.
+            ""
+            | "application/octet-stream"
+            | "application/ogg"
+            | "application/x-www-form-urlencoded"
+            | "video/mp4" => Ok(Self::Raw),
+            _ if kind.starts_with("audio/") => Ok(Self::Raw),
+            _ => Err(ServerError::UnsupportedMedia(format!(
+                "content type {:?} is not accepted: send multipart/form-data with part `file`, or audio/* or application/octet-stream",
+                shorten(kind)
+            ))),
+        }
+    }
+}
+
+/// Whether a file with these first bytes is wav or flac, which are large by nature.
+pub(crate) fn is_lossless(prefix: &[u8; 12]) -> bool {
+    prefix.starts_with(b"fLaC") || (prefix.starts_with(b"RIFF") && prefix.ends_with(b"WAVE"))
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::HeaderValue;
+
+    use super::*;
+
+    fn media(name: header::HeaderName, value: &'static str) -> Option<Media> {
+        let mut headers = HeaderMap::new();
+        headers.insert(name, HeaderValue::from_static(value));
+        Media::of(&headers).ok()
+    }
+
+    #[test]
+    fn audio_and_forms_are_accepted_and_compression_is_not() {
+        assert_eq!(Media::of(&HeaderMap::new()).ok(), Some(Media::Raw));
+        let of = |value| media(header::CONTENT_TYPE, value);
+        assert_eq!(of("Audio/MPEG; codecs=mp3"), Some(Media::Raw));
+        assert_eq!(of("application/x-www-form-urlencoded"), Some(Media::Raw));
+        assert_eq!(of("multipart/form-data; boundary=x"), Some(Media::Form));
+        assert_eq!(of("multipart/mixed; boundary=x"), None);
+        assert_eq!(of("application/json"), None);
+        assert_eq!(media(header::CONTENT_ENCODING, "gzip"), None);
+        assert_eq!(
+            media(header::CONTENT_ENCODING, "identity"),
+            Some(Media::Raw)
+        );
+    }
+
+    #[test]
+    fn wav_and_flac_are_told_from_their_first_bytes() {
+        assert!(is_lossless(b"RIFF\x01\x02\x03\x04WAVE"));
+        assert!(is_lossless(b"fLaC\0\0\0\x22\0\0\0\0"));
+        assert!(!is_lossless(b"RIFF\x01\x02\x03\x04AVI "));
+        assert!(!is_lossless(b"ID3\x04\0\0\0\0\0\0\0\0"));
+    }
+}

@@ -1,0 +1,119 @@
+//! Which format to answer in, from the Accept header.
+
+use axum::http::{HeaderMap, header};
+
+use super::{
+    error::ServerError,
+    options::shorten,
+    render::{FORMATS, OutputFormat},
+};
+
+/// The format that an `Accept` header prefers (RFC 9110, section 12.5.1); JSON when it has no
+/// preference.
+///
+/// # Errors
+/// [`ServerError::NotAcceptable`] when none of ours is accepted.
+pub(crate) fn from_accept(headers: &HeaderMap) -> Result<OutputFormat, ServerError> {
+    let ranges: Vec<Range> = headers
+        .get_all(header::ACCEPT)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .filter_map(Range::parse)
+        .collect();
+    if ranges.is_empty() {
+        return Ok(OutputFormat::Json);
+    }
+    let mut best: Option<(f32, OutputFormat)> = None;
+    for format in FORMATS {
+        let quality = quality(&ranges, format.content_type());
+        if quality > 0.0 && best.is_none_or(|(so_far, _)| quality > so_far) {
+            best = Some((quality, format));
+        }
+    }
+    best.map(|(_, format)| format)
+        .ok_or_else(|| ServerError::NotAcceptable {
+            asked: shorten(
+                headers
+                    .get(header::ACCEPT)
+                    .and_then(|value| value.to_str().ok())
+                    .unwrap_or_default(),
+            ),
+            available: FORMATS.map(OutputFormat::content_type).join(" and "),
+        })
+}
+
+/// One media range with its quality.
+struct Range {
+    kind: String,
+    quality: f32,
+}
+
+impl Range {
+    fn parse(text: &str) -> Option<Self> {
+        let mut parts = text.split(';').map(str::trim);
+        let kind = parts.next()?.to_ascii_lowercase();
+        if kind.is_empty() {
+            return None;
+        }
+        let quality = parts
+            .find_map(|part| part.strip_prefix("q=").or_else(|| part.strip_prefix("Q=")))
+            .map_or(Some(1.0), |text| text.parse().ok())?;
+        Some(Self { kind, quality })
+    }
+
+    /// How closely the range names `content_type`; none if it does not cover it.
+    fn specificity(&self, content_type: &str) -> Option<u8> {
+        if self.kind == content_type {
+            Some(2)
+        } else if self.kind == "*/*" {
+            Some(0)
+        } else {
+            let family = self.kind.strip_suffix("/*")?;
+            (content_type.split('/').next() == Some(family)).then_some(1)
+        }
+    }
+}
+
+/// The quality that the most specific range covering `content_type` gives it.
+fn quality(ranges: &[Range], content_type: &str) -> f32 {
+    ranges
+        .iter()
+        .filter_map(|range| Some((range.specificity(content_type)?, range.quality)))
+        .max_by_key(|(specificity, _)| *specificity)
+        .map_or(0.0, |(_, quality)| quality)
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::HeaderValue;
+
+    use super::*;
+
+    fn accept(text: &'static str) -> Option<OutputFormat> {
+        let mut headers = HeaderMap::new();
+        headers.insert(header::ACCEPT, HeaderValue::from_static(text));
+        from_accept(&headers).ok()
+    }
+
+    #[test]
+    fn the_preferred_type_that_we_have_wins() {
+        let bvh = OutputFormat::Bvh.content_type();
+        assert_eq!(
+            from_accept(&HeaderMap::new()).ok(),
+            Some(OutputFormat::Json)
+        );
+        assert_eq!(accept("*/*"), Some(OutputFormat::Json));
+        assert_eq!(accept(""), Some(OutputFormat::Json));
+        assert_eq!(accept("application/json"), Some(OutputFormat::Json));
+        assert_eq!(accept("Application/JSON; q=0.3"), Some(OutputFormat::Json));
+        assert_eq!(accept("text/html, */*;q=0.1"), Some(OutputFormat::Json));
+        assert_eq!(accept("application/json;q=0, */*"), Some(OutputFormat::Bvh));
+        assert_eq!(accept("model/gltf-binary"), None);
+        assert_eq!(accept("*/*;q=0"), None);
+        let mut headers = HeaderMap::new();
+        let both = format!("application/json;q=0.5, {bvh}");
+        headers.insert(header::ACCEPT, both.parse().unwrap());
+        assert_eq!(from_accept(&headers).ok(), Some(OutputFormat::Bvh));
+    }
+}

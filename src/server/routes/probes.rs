@@ -1,0 +1,64 @@
+//! Probes and self-description: they never wait for anything and take no permit.
+
+use axum::{Json, extract::State};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::server::{
+    error::{ErrorBody, ServerError},
+    info::Info,
+    state::SharedState,
+};
+
+/// Answer of the probes.
+#[derive(Clone, Copy, Debug, Serialize, ToSchema)]
+pub(crate) struct Status {
+    #[schema(example = "ok")]
+    status: &'static str,
+}
+
+/// Whether the process lives.
+#[utoipa::path(
+    get,
+    path = "/health",
+    tag = "probes",
+    responses((status = 200, description = "The server lives.", body = Status))
+)]
+pub(crate) async fn health() -> Json<Status> {
+    Json(Status { status: "ok" })
+}
+
+/// Whether requests are taken: the model is loaded and the server is not shutting down.
+#[utoipa::path(
+    get,
+    path = "/ready",
+    tag = "probes",
+    responses(
+        (status = 200, description = "Requests are taken.", body = Status),
+        (
+            status = 503,
+            description = "The server is shutting down.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+    )
+)]
+pub(crate) async fn ready(State(state): State<SharedState>) -> Result<Json<Status>, ServerError> {
+    if state.lifecycle.is_draining() {
+        return Err(ServerError::Draining {
+            retry_after: state.limits.shutdown_timeout,
+        });
+    }
+    Ok(Json(Status { status: "ready" }))
+}
+
+/// The model, what can be asked for, and every limit.
+#[utoipa::path(
+    get,
+    path = "/info",
+    tag = "probes",
+    responses((status = 200, description = "About this service.", body = Info))
+)]
+pub(crate) async fn info(State(state): State<SharedState>) -> Json<Info> {
+    Json(state.info.clone())
+}

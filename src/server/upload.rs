@@ -1,0 +1,228 @@
+//! Receiving the audio and the options that come with it; limits hold while reading.
+
+use axum::{
+    body::Body,
+    extract::{DefaultBodyLimit, FromRequest, Multipart, Request, multipart::Field},
+    http::request::Parts,
+};
+use bytes::{Bytes, BytesMut};
+use futures_util::{Stream, StreamExt};
+
+use super::{
+    body::{BodyError, IncomingBody},
+    config::{ByteSize, Limits},
+    error::ServerError,
+    media::{Media, is_lossless},
+    options::{LONGEST_VALUE, RequestOptions, shorten},
+};
+
+/// What a form may hold beside the audio: boundaries, part headers, option values.
+const FORM_OVERHEAD: u64 = 64 * 1024;
+
+/// A request that has arrived completely.
+pub(crate) struct Upload {
+    pub(crate) audio: Bytes,
+    pub(crate) options: RequestOptions,
+}
+
+/// Refuses a body whose declared length is too large whatever it turns out to be.
+///
+/// # Errors
+/// [`ServerError::TooLarge`].
+pub(crate) fn check_declared(
+    body: &IncomingBody,
+    media: Media,
+    limits: &Limits,
+) -> Result<(), ServerError> {
+    let most = most_bytes(media, limits);
+    match body.declared() {
+        Some(declared) if declared > most => Err(too_large(limits.payload_limit_lossless, limits)),
+        _ => Ok(()),
+    }
+}
+
+/// Reads the whole body. `options` are those of the query; parts of a form add to them.
+///
+/// # Errors
+/// Anything that is wrong with the upload, in the callers' words.
+pub(crate) async fn receive(
+    parts: Parts,
+    body: IncomingBody,
+    media: Media,
+    options: RequestOptions,
+    limits: &Limits,
+) -> Result<Upload, ServerError> {
+    let body = body.limited(most_bytes(media, limits));
+    let upload = match media {
+        Media::Raw => {
+            let mut audio = AudioBuffer::new(limits, body.declared());
+            collect(&mut audio, body, |error| body_error(&error, limits)).await?;
+            Upload {
+                audio: audio.finish(),
+                options,
+            }
+        }
+        Media::Form => receive_form(parts, body, options, limits).await?,
+    };
+    if upload.audio.is_empty() {
+        return Err(ServerError::MissingAudio);
+    }
+    Ok(upload)
+}
+
+fn most_bytes(media: Media, limits: &Limits) -> u64 {
+    let largest = limits.payload_limit.max(limits.payload_limit_lossless).0;
+    match media {
+        Media::Raw => largest,
+        Media::Form => largest.saturating_add(FORM_OVERHEAD),
+    }
+}
+
+async fn receive_form(
+    parts: Parts,
+    body: IncomingBody,
+    mut options: RequestOptions,
+    limits: &Limits,
+) -> Result<Upload, ServerError> {
+    let mut request = Request::from_parts(parts, Body::from_stream(body));
+    // Our own limits are larger than the framework's default of 2 MB, and finer.
+    DefaultBodyLimit::disable().apply(&mut request);
+    let mut form = Multipart::from_request(request, &())
+        .await
+        .map_err(|rejection| ServerError::Multipart(rejection.body_text()))?;
+    let mut audio: Option<Bytes> = None;
+    while let Some(field) = form
+        .next_field()
+        .await
+        .map_err(|error| form_error(&error, limits))?
+    {
+        let name = field.name().unwrap_or_default().to_owned();
+        if name == "file" {
+            if audio.is_some() {
+                return Err(ServerError::Multipart(
+                    "part `file` was sent more than once: send one song".to_owned(),
+                ));
+            }
+            let mut buffer = AudioBuffer::new(limits, None);
+            collect(&mut buffer, field, |error| form_error(&error, limits)).await?;
+            audio = Some(buffer.finish());
+        } else {
+            let value = read_value(field, limits).await?;
+            options.set(&name, &value)?;
+        }
+    }
+    Ok(Upload {
+        audio: audio.ok_or(ServerError::MissingAudio)?,
+        options,
+    })
+}
+
+/// The value of an option; one that is too long to be any is cut, and refused by its parser.
+async fn read_value(mut field: Field<'_>, limits: &Limits) -> Result<String, ServerError> {
+    let mut value = Vec::new();
+    while value.len() <= LONGEST_VALUE
+        && let Some(chunk) = field
+            .chunk()
+            .await
+            .map_err(|error| form_error(&error, limits))?
+    {
+        let room = (LONGEST_VALUE + 1).saturating_sub(value.len());
+        value.extend(chunk.iter().take(room));
+    }
+    Ok(String::from_utf8_lossy(&value).into_owned())
+}
+
+async fn collect<E>(
+    audio: &mut AudioBuffer<'_>,
+    mut chunks: impl Stream<Item = Result<Bytes, E>> + Unpin,
+    explain: impl Fn(E) -> ServerError,
+) -> Result<(), ServerError> {
+    while let Some(chunk) = chunks.next().await {
+        audio.push(&chunk.map_err(&explain)?)?;
+    }
+    Ok(())
+}
+
+/// Collects audio up to the limit that its first bytes give it.
+struct AudioBuffer<'limits> {
+    bytes: BytesMut,
+    // Believed only where it is too large: nothing is reserved for it.
+    declared: u64,
+    limits: &'limits Limits,
+}
+
+impl<'limits> AudioBuffer<'limits> {
+    /// Bytes that tell wav and flac.
+    const PREFIX: usize = 12;
+
+    fn new(limits: &'limits Limits, declared: Option<u64>) -> Self {
+        Self {
+            bytes: BytesMut::new(),
+            declared: declared.unwrap_or_default(),
+            limits,
+        }
+    }
+
+    fn push(&mut self, chunk: &[u8]) -> Result<(), ServerError> {
+        let limit = self.limit(chunk);
+        let total = self.bytes.len() as u64 + chunk.len() as u64;
+        if total.max(self.declared) > limit.0 {
+            return Err(too_large(limit, self.limits));
+        }
+        self.bytes.extend_from_slice(chunk);
+        Ok(())
+    }
+
+    fn limit(&self, chunk: &[u8]) -> ByteSize {
+        let mut prefix = [0; Self::PREFIX];
+        let seen = self.bytes.iter().chain(chunk);
+        let known = prefix
+            .iter_mut()
+            .zip(seen)
+            .map(|(to, from)| *to = *from)
+            .count();
+        if known < Self::PREFIX || is_lossless(&prefix) {
+            self.limits.payload_limit_lossless
+        } else {
+            self.limits.payload_limit
+        }
+    }
+
+    fn finish(self) -> Bytes {
+        self.bytes.freeze()
+    }
+}
+
+fn too_large(limit: ByteSize, limits: &Limits) -> ServerError {
+    ServerError::TooLarge {
+        limit: limit.0,
+        lossy: limits.payload_limit,
+        lossless: limits.payload_limit_lossless,
+    }
+}
+
+fn body_error(error: &BodyError, limits: &Limits) -> ServerError {
+    match error {
+        BodyError::TooLarge => too_large(limits.payload_limit_lossless, limits),
+        BodyError::TooSlow => ServerError::UploadTimeout {
+            idle: limits.body_idle_timeout,
+            total: limits.body_timeout,
+        },
+        BodyError::Broken(_) => ServerError::UploadBroken,
+    }
+}
+
+/// Errors of the body travel through the form's parser: they are found again along the sources.
+fn form_error(error: &axum::extract::multipart::MultipartError, limits: &Limits) -> ServerError {
+    let mut source: Option<&(dyn std::error::Error + 'static)> = Some(error);
+    while let Some(error) = source {
+        if let Some(error) = error.downcast_ref::<BodyError>() {
+            return body_error(error, limits);
+        }
+        source = error.source();
+    }
+    ServerError::Multipart(format!(
+        "the form cannot be read: {}",
+        shorten(&error.body_text())
+    ))
+}
