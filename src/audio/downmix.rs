@@ -31,7 +31,7 @@ impl Downmix {
                 .map(|frame| frame.iter().sum::<f32>() * share),
         );
         for sample in &mut self.mono {
-            if !(sample.abs() <= LOUDEST) {
+            if sample.is_nan() || sample.abs() > LOUDEST {
                 *sample = 0.0;
                 self.impossible += 1;
             }
@@ -47,7 +47,18 @@ mod tests {
     #[test]
     fn mean_of_the_channels_and_silence_for_the_impossible() {
         let mut downmix = Downmix {
-            interleaved: vec![0.5, -0.25, 1.0, 1.0, f32::NAN, 0.0, f32::INFINITY, 0.0, 1e9, 0.0],
+            interleaved: vec![
+                0.5,
+                -0.25,
+                1.0,
+                1.0,
+                f32::NAN,
+                0.0,
+                f32::INFINITY,
+                0.0,
+                1e9,
+                0.0,
+            ],
             ..Downmix::default()
         };
         assert_eq!(downmix.mean(2), [0.125, 1.0, 0.0, 0.0, 0.0]);

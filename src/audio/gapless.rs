@@ -102,7 +102,8 @@ impl Trim {
     /// Passes what is to be heard of `signal` on to `sink`, in one or two pieces.
     pub(super) fn pass(&mut self, signal: &[f32], mut sink: impl FnMut(&[f32])) {
         self.received += signal.len() as u64;
-        let skipped = usize::try_from(self.skip).map_or(signal.len(), |skip| skip.min(signal.len()));
+        let skipped =
+            usize::try_from(self.skip).map_or(signal.len(), |skip| skip.min(signal.len()));
         self.skip -= skipped as u64;
         let mut rest = &signal[skipped..];
         if let Some(keep) = &mut self.keep {

@@ -121,7 +121,7 @@ fn ogg_codec(bytes: &[u8]) -> Result<(), AudioError> {
         p if p.starts_with(b"\x7fFLAC") => "FLAC (send it as a native .flac file)",
         p if p.starts_with(b"Speex") => "Speex",
         p if p.starts_with(b"\x80theora") => "Theora video",
-        [] => {
+        p if p.len() < b"OpusHead".len() => {
             return Err(AudioError::Malformed {
                 container: Container::Ogg,
                 reason: "it ends inside its first page".to_owned(),
@@ -200,7 +200,11 @@ fn mp3_frame_length(bytes: &[u8]) -> Option<usize> {
 fn is_mp3(bytes: &[u8], tagged: bool) -> bool {
     const SEARCHED_BEHIND_TAG: usize = 64 * 1024;
     const SEARCHED: usize = 4 * 1024;
-    let searched = if tagged { SEARCHED_BEHIND_TAG } else { SEARCHED };
+    let searched = if tagged {
+        SEARCHED_BEHIND_TAG
+    } else {
+        SEARCHED
+    };
     let window = &bytes[..searched.min(bytes.len())];
     (0..window.len()).any(|at| {
         if window[at] != 0xff {

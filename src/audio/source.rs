@@ -17,7 +17,7 @@ use symphonia::{
         formats::{FormatOptions, FormatReader, TrackType},
         io::{MediaSource, MediaSourceStream, ReadBytes},
         packet::Packet,
-        units::TimeBase,
+        units::{Duration, TimeBase, Timestamp},
     },
     default::{
         formats::{FlacReader, IsoMp4Reader, MpaReader, OggReader, WavReader},
@@ -78,10 +78,13 @@ pub(super) struct TrackInfo {
 impl TrackInfo {
     /// Seconds that a packet says it lasts.
     pub(super) fn seconds(&self, packet: &Packet) -> f64 {
-        let Some(base) = self.time_base else {
-            return 0.0;
-        };
-        packet.dur.get() as f64 * f64::from(base.numer.get()) / f64::from(base.denom.get())
+        self.in_seconds(packet.dur)
+    }
+
+    fn in_seconds(&self, duration: Duration) -> f64 {
+        self.time_base.map_or(0.0, |base| {
+            duration.get() as f64 * f64::from(base.numer.get()) / f64::from(base.denom.get())
+        })
     }
 }
 
@@ -102,6 +105,8 @@ pub(super) struct Packets {
     pub(super) container: Container,
     pub(super) track: TrackInfo,
     pub(super) ending: Ending,
+    /// Where the next packet of a FLAC file should start, in its time base.
+    expected: Option<Timestamp>,
     /// Payload bytes that the file may still yield: a file's packets cannot be larger than the
     /// file, unless its tables point at the same bytes again and again.
     allowance: usize,
@@ -118,6 +123,7 @@ impl Packets {
             container,
             track,
             ending: Ending::default(),
+            expected: None,
             allowance: upload.bytes.len().saturating_mul(2).saturating_add(65_536),
         })
     }
@@ -136,6 +142,18 @@ impl Packets {
             })
     }
 
+    /// Seconds missing between the packet before `packet` and itself. The FLAC reader drops frames
+    /// with a wrong checksum without a word, but every frame carries its position.
+    pub(super) fn seconds_lost_before(&mut self, packet: &Packet) -> f64 {
+        if self.container != Container::Flac {
+            return 0.0;
+        }
+        let expected = self.expected.replace(packet.pts.saturating_add(packet.dur));
+        expected
+            .and_then(|expected| packet.pts.duration_from(expected))
+            .map_or(0.0, |gap| self.track.in_seconds(gap))
+    }
+
     /// The next packet of the track; `None` at the end, however the file ended.
     pub(super) fn next(&mut self, watch: &Watch<'_>) -> Result<Option<Packet>, AudioError> {
         let mut faults_in_a_row = 0;
@@ -146,12 +164,14 @@ impl Packets {
                     faults_in_a_row = 0;
                     // A packet of no bytes counts as one, so that tables of them end as well.
                     let cost = packet.data.len().max(1);
-                    self.allowance = self.allowance.checked_sub(cost).ok_or_else(|| {
-                        AudioError::Malformed {
-                            container: self.container,
-                            reason: "its tables list more audio than the file has bytes".to_owned(),
-                        }
-                    })?;
+                    self.allowance =
+                        self.allowance
+                            .checked_sub(cost)
+                            .ok_or_else(|| AudioError::Malformed {
+                                container: self.container,
+                                reason: "its tables list more audio than the file has bytes"
+                                    .to_owned(),
+                            })?;
                     if packet.track_id == self.track.id {
                         return Ok(Some(packet));
                     }
@@ -200,12 +220,13 @@ fn open_reader(upload: &Upload) -> Result<Box<dyn FormatReader>, SymphoniaError>
 }
 
 fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackInfo, AudioError> {
-    let track = reader
-        .default_track(TrackType::Audio)
-        .ok_or_else(|| AudioError::UnsupportedCodec {
-            container,
-            codec: "no audio track that can be read".to_owned(),
-        })?;
+    let track =
+        reader
+            .default_track(TrackType::Audio)
+            .ok_or_else(|| AudioError::UnsupportedCodec {
+                container,
+                codec: "no audio track that can be read".to_owned(),
+            })?;
     let Some(CodecParameters::Audio(parameters)) = &track.codec_params else {
         return Err(AudioError::Malformed {
             container,
@@ -234,7 +255,10 @@ fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
     } else if parameters.codec == CODEC_ID_NULL_AUDIO {
         "an unknown codec".to_owned()
     } else {
-        format!("a codec without a decoder here (number {})", parameters.codec)
+        format!(
+            "a codec without a decoder here (number {})",
+            parameters.codec
+        )
     }
 }
 
