@@ -8,8 +8,8 @@ use super::{
     downmix::Downmix,
     gapless::Trim,
     limits::{SLACK_S, Watch},
-    sniff::Upload,
-    source::Packets,
+    sniff::{Container, Upload},
+    source::{Packets, ogg_is_whole},
 };
 
 /// What one call of the decoder is to do.
@@ -80,6 +80,8 @@ pub(super) fn decode_packets(
             break;
         }
     }
+    let ogg_cut = upload.container == Container::Ogg && !ogg_is_whole(&upload.bytes);
+    packets.ending.cut_off |= ogg_cut;
     finish(sink, &packets, &tally, &downmix, job)
 }
 

@@ -4,6 +4,7 @@ mod decode;
 mod downmix;
 mod error;
 mod gapless;
+mod kernel;
 mod limits;
 mod mp4;
 mod resample;

@@ -1,27 +1,9 @@
 //! Streaming sample-rate conversion (FEATURES section 1): a zero-phase polyphase Kaiser-windowed
 //! sinc that reproduces soxr "HQ" to about 1e-4 of full scale, planned once per pair of rates.
 
-use std::{
-    f64::consts::PI,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::sync::Arc;
 
-/// Cut-off relative to the lower Nyquist frequency: flat to 0.913 of it, -120 dB from 1.0.
-const CUTOFF: f64 = 0.95685;
-/// Largest exact table in coefficients (4 MiB); above it phases are interpolated.
-const MAX_TABLE: usize = 1 << 20;
-/// Accumulators of the inner product; the number of taps is a multiple of it.
-const LANES: usize = 16;
-
-/// Half width (in samples of the lower rate) and Kaiser beta for a ratio `to / from`; both pairs
-/// are FEATURES section 1's, the longer one for strong decimation.
-fn window_of(ratio: f64) -> (f64, f64) {
-    if ratio < 0.25 {
-        (116.5, 16.76)
-    } else {
-        (107.7, 15.35)
-    }
-}
+use super::kernel::{Kernel, planned_kernel};
 
 /// Streaming converter of one mono signal from one integer rate to another.
 ///
@@ -65,8 +47,8 @@ impl Resampler {
         };
         if let Some(kernel) = &planned.kernel {
             // The zeros in front of the signal that the first outputs look at.
-            planned.history = vec![0.0; kernel.reach - 1];
-            planned.base = 1 - signed(kernel.reach);
+            planned.history = vec![0.0; kernel.reach() - 1];
+            planned.base = 1 - signed(kernel.reach());
         }
         planned
     }
@@ -85,7 +67,7 @@ impl Resampler {
     /// Ends the signal and appends the remaining outputs.
     pub fn finish(mut self, output: &mut Vec<f32>) {
         let Some(kernel) = &self.kernel else { return };
-        let reach = kernel.reach;
+        let reach = kernel.reach();
         let total = (u128::from(self.received) * u128::from(self.to)).div_ceil(self.from.into());
         let total = u64::try_from(total).unwrap_or(u64::MAX);
         // One window of zeros completes every output that lies inside the signal.
@@ -97,7 +79,7 @@ impl Resampler {
     fn produce(&mut self, limit: u64, output: &mut Vec<f32>) {
         let Some(kernel) = &self.kernel else { return };
         while self.produced < limit {
-            let first = usize::try_from(self.index + 1 - signed(kernel.reach) - self.base);
+            let first = usize::try_from(self.index + 1 - signed(kernel.reach()) - self.base);
             let window = first
                 .ok()
                 .and_then(|first| self.history.get(first..first + kernel.taps()));
@@ -108,7 +90,7 @@ impl Resampler {
             self.index += (self.phase / self.to).cast_signed();
             self.phase %= self.to;
         }
-        let unused = self.index + 1 - signed(kernel.reach) - self.base;
+        let unused = self.index + 1 - signed(kernel.reach()) - self.base;
         let unused = usize::try_from(unused).unwrap_or(0).min(self.history.len());
         self.history.drain(..unused);
         self.base += signed(unused);
@@ -125,156 +107,6 @@ pub fn resample(signal: &[f32], from_hz: u32, to_hz: u32) -> Vec<f32> {
     output
 }
 
-/// The kernel of a reduced ratio. The last few are kept: planning takes as long as converting
-/// several seconds of music, and nearly all uploads share two or three rates.
-fn planned_kernel(from: u64, to: u64) -> Arc<Kernel> {
-    const KEPT: usize = 8;
-    static PLANNED: Mutex<Vec<(u64, u64, Arc<Kernel>)>> = Mutex::new(Vec::new());
-    // The list is whole between any two statements, so a poisoned lock is as good as another.
-    let lock = || PLANNED.lock().unwrap_or_else(PoisonError::into_inner);
-    let known = lock()
-        .iter()
-        .find(|entry| (entry.0, entry.1) == (from, to))
-        .map(|entry| Arc::clone(&entry.2));
-    known.unwrap_or_else(|| {
-        let kernel = Arc::new(Kernel::new(from, to));
-        let mut planned = lock();
-        if planned.len() == KEPT {
-            planned.remove(0);
-        }
-        planned.push((from, to, Arc::clone(&kernel)));
-        kernel
-    })
-}
-
-/// The filter's coefficients, one row per fractional position of an output between two inputs.
-#[derive(Debug)]
-struct Kernel {
-    /// Inputs looked at on each side; a row has twice as many taps.
-    reach: usize,
-    rows: Vec<f32>,
-    phases: u64,
-    /// Rows per input sample where there are too many phases for one row each; 0: exact rows.
-    interpolated: u16,
-}
-
-impl Kernel {
-    fn new(from: u64, to: u64) -> Self {
-        let ratio = to as f64 / from as f64;
-        let shape = Shape::new(ratio);
-        let reach = (shape.half / shape.scale).ceil() as usize;
-        let reach = reach.next_multiple_of(LANES / 2);
-        let exact = usize::try_from(to).is_ok_and(|to| to.saturating_mul(2 * reach) <= MAX_TABLE);
-        // A linear step between rows errs by (pi * bandwidth / rows)^2 / 2 at most, below 5e-6.
-        let interpolated = match (1024.0 * shape.scale) as u16 {
-            _ if exact => 0,
-            wanted => wanted.next_power_of_two().clamp(64, 1024),
-        };
-        let (rows, step) = if exact {
-            (to, 1.0 / to as f64)
-        } else {
-            (u64::from(interpolated) + 1, 1.0 / f64::from(interpolated))
-        };
-        let coefficients = (0..rows)
-            .flat_map(|row| {
-                let fraction = row as f64 * step;
-                let shape = &shape;
-                (0..2 * reach).map(move |tap| {
-                    let distance = tap as f64 + 1.0 - reach as f64 - fraction;
-                    shape.at(distance) as f32
-                })
-            })
-            .collect();
-        Self {
-            reach,
-            rows: coefficients,
-            phases: to,
-            interpolated,
-        }
-    }
-
-    fn taps(&self) -> usize {
-        2 * self.reach
-    }
-
-    /// One output: `window` holds the inputs around it, `phase / phases` is its distance behind
-    /// the window's middle input.
-    fn apply(&self, phase: u64, window: &[f32]) -> f32 {
-        let taps = self.taps();
-        let row = |index: usize| &self.rows[index * taps..(index + 1) * taps];
-        if self.interpolated == 0 {
-            return dot(row(phase as usize), window);
-        }
-        let at = phase as f64 / self.phases as f64 * f64::from(self.interpolated);
-        let (index, fraction) = (at as usize, at.fract() as f32);
-        let (low, high) = (dot(row(index), window), dot(row(index + 1), window));
-        low + fraction * (high - low)
-    }
-}
-
-/// The continuous impulse response.
-struct Shape {
-    /// Lower rate over the input rate: samples of the lower rate per input sample.
-    scale: f64,
-    half: f64,
-    beta: f64,
-    peak: f64,
-}
-
-impl Shape {
-    fn new(ratio: f64) -> Self {
-        let (half, beta) = window_of(ratio);
-        Self {
-            scale: ratio.min(1.0),
-            half,
-            beta,
-            peak: bessel_i0(beta),
-        }
-    }
-
-    /// `fc sinc(fc u) kaiser(u / half)` times the gain, `distance` in input samples.
-    fn at(&self, distance: f64) -> f64 {
-        let u = distance * self.scale;
-        let inside = 1.0 - (u / self.half).powi(2);
-        if inside <= 0.0 {
-            return 0.0;
-        }
-        let window = bessel_i0(self.beta * inside.sqrt()) / self.peak;
-        self.scale * CUTOFF * sinc(CUTOFF * u) * window
-    }
-}
-
-fn sinc(x: f64) -> f64 {
-    if x == 0.0 {
-        1.0
-    } else {
-        (PI * x).sin() / (PI * x)
-    }
-}
-
-/// Modified Bessel function of the first kind and order zero, by its power series.
-fn bessel_i0(x: f64) -> f64 {
-    let quarter = x * x / 4.0;
-    let (mut sum, mut term, mut k) = (1.0, 1.0, 1.0);
-    while term > 1e-17 * sum {
-        term *= quarter / (k * k);
-        sum += term;
-        k += 1.0;
-    }
-    sum
-}
-
-/// Inner product with independent accumulators, so that it can be vectorised.
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; LANES];
-    for (a, b) in a.chunks_exact(LANES).zip(b.chunks_exact(LANES)) {
-        for ((lane, a), b) in lanes.iter_mut().zip(a).zip(b) {
-            *lane += a * b;
-        }
-    }
-    lanes.iter().sum()
-}
-
 fn gcd(a: u64, b: u64) -> u64 {
     if b == 0 { a } else { gcd(b, a % b) }
 }
@@ -286,7 +118,12 @@ fn signed(length: usize) -> i64 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use std::f64::consts::PI;
+
+    use super::{
+        super::kernel::{MAX_TABLE, Shape},
+        *,
+    };
 
     fn noise(n: usize) -> Vec<f32> {
         let mut state = 1_u32;
@@ -404,10 +241,13 @@ mod tests {
             (8_001, 30_720),
             (48_000, 3_840),
         ] {
-            let (from, to) = (u64::from(from as u32), u64::from(to as u32));
             let divisor = gcd(from, to);
             let kernel = Kernel::new(from / divisor, to / divisor);
-            assert!(kernel.rows.len() <= MAX_TABLE, "{}", kernel.rows.len());
+            assert!(
+                kernel.coefficients() <= MAX_TABLE,
+                "{}",
+                kernel.coefficients()
+            );
         }
     }
 }

@@ -285,3 +285,25 @@ pub(super) fn refusal(container: Container, error: &SymphoniaError) -> AudioErro
         },
     }
 }
+
+/// Whether an Ogg file ends with a whole page that is marked as the last one: nothing else in it
+/// tells that it was cut.
+pub(super) fn ogg_is_whole(bytes: &[u8]) -> bool {
+    const HEADER: usize = 27;
+    const LARGEST_PAGE: usize = HEADER + 255 + 255 * 255;
+    const LAST_PAGE: u8 = 4;
+    let tail = &bytes[bytes.len().saturating_sub(LARGEST_PAGE)..];
+    let Some(start) = tail.windows(4).rposition(|part| part == b"OggS") else {
+        return false;
+    };
+    let page = &tail[start..];
+    let Some((header, rest)) = page.split_at_checked(HEADER) else {
+        return false;
+    };
+    let segments = usize::from(header[HEADER - 1]);
+    let length = rest.get(..segments).map(|sizes| {
+        let body: usize = sizes.iter().map(|&size| usize::from(size)).sum();
+        HEADER + segments + body
+    });
+    header[5] & LAST_PAGE != 0 && length.is_some_and(|length| page.len() >= length)
+}
