@@ -171,6 +171,8 @@ fn cut_short(packets: &Packets, sink: &Sink<'_>) -> Option<String> {
         Some(declared) if declared > held + NOTICEABLE_S => Some(format!(
             "the file is cut short or damaged: it says {declared:.1} s of audio and holds {held:.1} s"
         )),
+        // A WAV written to a pipe states no length and simply ends.
+        None if packets.container == Container::Wav => None,
         _ if packets.ending.cut_off || packets.ending.faults > 0 => Some(format!(
             "the file is damaged or cut short after {held:.1} s of audio"
         )),

@@ -10,7 +10,10 @@ use symphonia::{
             CodecParameters,
             audio::{
                 AudioCodecParameters, AudioDecoder, AudioDecoderOptions, CODEC_ID_NULL_AUDIO,
-                well_known::CODEC_ID_AAC,
+                well_known::{
+                    CODEC_ID_AAC, CODEC_ID_AC3, CODEC_ID_ADPCM_IMA_WAV, CODEC_ID_ADPCM_MS,
+                    CODEC_ID_ALAC, CODEC_ID_EAC3, CODEC_ID_OPUS,
+                },
             },
         },
         errors::Error as SymphoniaError,
@@ -245,21 +248,24 @@ fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackI
 
 /// The codec in words: symphonia names only what it was built with.
 fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
-    if parameters.codec == CODEC_ID_AAC {
-        "AAC of another profile than LC with 1 or 2 channels (HE-AAC, for example)".to_owned()
-    } else if let Some(decoder) = get_codecs().get_audio_decoder(parameters.codec) {
-        format!(
-            "{} in a form that is not supported ({reason})",
-            decoder.codec.info.long_name
-        )
-    } else if parameters.codec == CODEC_ID_NULL_AUDIO {
-        "an unknown codec".to_owned()
-    } else {
-        format!(
-            "a codec without a decoder here (number {})",
-            parameters.codec
-        )
-    }
+    let words = match parameters.codec {
+        CODEC_ID_AAC => "AAC of another profile than LC with 1 or 2 channels (HE-AAC, for example)",
+        CODEC_ID_ALAC => "Apple Lossless (ALAC)",
+        CODEC_ID_OPUS => "Opus",
+        CODEC_ID_AC3 | CODEC_ID_EAC3 => "Dolby Digital (AC-3)",
+        CODEC_ID_ADPCM_MS | CODEC_ID_ADPCM_IMA_WAV => "ADPCM (only PCM samples are read)",
+        CODEC_ID_NULL_AUDIO => "an unknown codec",
+        other => {
+            return match get_codecs().get_audio_decoder(other) {
+                Some(decoder) => format!(
+                    "{} in a form that is not supported ({reason})",
+                    decoder.codec.info.long_name
+                ),
+                None => format!("a codec without a decoder here (number {other})"),
+            };
+        }
+    };
+    words.to_owned()
 }
 
 /// What an error while reading the headers means.

@@ -153,6 +153,15 @@ proptest! {
 }
 
 #[test]
+fn a_wav_from_a_pipe_states_no_length_and_is_whole() {
+    let samples = tone(16_000, 8_000);
+    let data: Vec<u8> = samples.iter().flat_map(|s| s.to_le_bytes()).collect();
+    let song = decode(wav_declaring(1, 8_000, 16, &data, u32::MAX), &[8_000]).unwrap();
+    assert_eq!((song.duration_s, song.signals[0].len()), (2.0, 16_000));
+    assert!(song.warnings.is_empty(), "{:?}", song.warnings);
+}
+
+#[test]
 fn an_ogg_cut_between_two_pages_is_said_to_be_cut() {
     let file = fixture("demo.ogg");
     let pages: Vec<usize> = (0..file.len() - 4)
