@@ -130,7 +130,10 @@ fn classify_dance(error: &Error) -> (StatusCode, &'static str) {
         Error::Features(FeatureError::NotFinite { .. }) => {
             (StatusCode::UNPROCESSABLE_ENTITY, "undecodable_audio")
         }
-        Error::Engine(EngineError::Option { .. }) => (StatusCode::BAD_REQUEST, "invalid_option"),
+        // Features come from the upload alone here, so a problem with them is ours.
+        Error::Engine(EngineError::Option { name, .. }) if *name != "features" => {
+            (StatusCode::BAD_REQUEST, "invalid_option")
+        }
         Error::Engine(EngineError::QueueFull { .. }) => {
             (StatusCode::TOO_MANY_REQUESTS, "queue_full")
         }

@@ -1,15 +1,17 @@
 //! What the service says about itself.
 
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
 use super::{
     config::Limits,
-    options::FRAME_RATES,
     render::{FORMATS, OutputFormat},
+    state::Generate,
 };
-use crate::model::{Manifest, WindowKind};
+use crate::{
+    model::{Manifest, WindowKind},
+    motion::FRAME_RATES,
+};
 
 /// Containers that the decoder accepts, told from their bytes.
 const AUDIO: [&str; 5] = ["wav", "flac", "mp3", "ogg/vorbis", "m4a/aac"];
@@ -37,8 +39,7 @@ struct ModelInfo {
     name: String,
     /// Licence of the weights.
     licence: String,
-    /// SHA-256 of the loaded manifest as compact JSON. The manifest holds the hash of every other
-    /// file, so this tells models apart.
+    /// SHA-256 of `manifest.json`, which holds the hash of every other file.
     manifest_sha256: String,
     /// Frames per second that the model itself makes.
     fps: u32,
@@ -92,10 +93,10 @@ struct FormatInfo {
 }
 
 impl Info {
-    pub(crate) fn new(manifest: &Manifest, limits: &Limits) -> Self {
+    pub(crate) fn new(engine: &dyn Generate, limits: &Limits) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION"),
-            model: ModelInfo::new(manifest),
+            model: ModelInfo::new(engine.manifest(), engine.model_sha256()),
             frame_rates: FRAME_RATES,
             formats: FORMATS.map(|format: OutputFormat| FormatInfo {
                 name: format.name(),
@@ -108,15 +109,15 @@ impl Info {
 }
 
 impl ModelInfo {
-    fn new(manifest: &Manifest) -> Self {
+    fn new(manifest: &Manifest, sha256: &str) -> Self {
         let sampling = &manifest.sampling;
         let features = serde_json::to_value(manifest.features.profile).unwrap_or_default();
         Self {
             name: manifest.name.clone(),
             licence: manifest.licence.clone(),
-            manifest_sha256: hash(manifest),
+            manifest_sha256: sha256.to_owned(),
             fps: manifest.fps,
-            codes_per_second: f64::from(manifest.fps) / manifest.frames_per_code.max(1) as f64,
+            codes_per_second: manifest.codes_per_second(),
             vocabulary: VocabularyInfo {
                 upper: manifest.vocabulary.upper,
                 lower: manifest.vocabulary.lower,
@@ -139,12 +140,4 @@ impl ModelInfo {
             },
         }
     }
-}
-
-fn hash(manifest: &Manifest) -> String {
-    let json = serde_json::to_vec(manifest).unwrap_or_default();
-    Sha256::digest(json)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
 }

@@ -110,6 +110,7 @@ async fn answer(
     let limits = &state.limits;
     let media = Media::of(&parts.headers)?;
     let options = RequestOptions::from_query(&parts.uri)?;
+    state.engine.check(&options.generation(OutputFormat::Json))?;
     upload::check_declared(&body, media, limits)?;
     let accept = parts.headers.clone();
 
