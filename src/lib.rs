@@ -3,11 +3,10 @@
 //!
 //! One direction: [`audio`] (bytes to PCM) → [`features`] (PCM to 438 columns) → [`model`] (the
 //! only module that knows ONNX Runtime) → [`motion`] (skeleton, kinematics) → [`format`] (JSON,
-//! BVH). [`engine`] schedules a generation, [`server`] is HTTP only, [`cli`] parses and prints.
+//! BVH). [`engine`] schedules a generation, [`server`] is HTTP only.
 
 pub mod audio;
 pub mod cancel;
-pub mod cli;
 pub mod engine;
 pub mod error;
 pub mod features;

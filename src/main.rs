@@ -1,3 +1,9 @@
 //! `bailando`: the server and its command line.
 
-fn main() {}
+mod cli;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    cli::run()
+}

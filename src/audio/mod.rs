@@ -1,17 +1,34 @@
 //! Bytes to mono PCM at the rates the features need; limits are enforced while decoding.
 
+mod decode;
+mod downmix;
 mod error;
+mod gapless;
+mod limits;
+mod mp4;
+mod resample;
+mod sniff;
+mod source;
 
 pub use error::AudioError;
+pub use resample::{Resampler, resample};
+pub use sniff::Container;
 
-use std::time::Duration;
+use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
+    time::Duration,
+};
 
 use crate::CancelToken;
+use decode::Job;
+use limits::Watch;
+use source::Packets;
 
 /// What an upload may ask of the decoder (RELIABILITY: decode on a bounded pool).
 #[derive(Clone, Debug, PartialEq)]
 pub struct AudioLimits {
-    /// Longest decoded duration in seconds, checked packet by packet.
+    /// Longest decoded duration in seconds, checked packet by packet: from the file's start to the
+    /// end of the range.
     pub max_seconds: f64,
     /// Shortest decoded duration in seconds.
     pub min_seconds: f64,
@@ -64,14 +81,69 @@ pub struct DecodedAudio {
 
 /// Decodes `bytes`, mixes all channels to one and resamples to each of `rates` (Hz) while decoding.
 ///
+/// The container is told from the bytes. Outside the used range the signals are zero, as at the
+/// ends of a file; encoder delay and padding are taken off; damaged packets become silence. Beyond
+/// the outputs (`4 * duration * rate` bytes per rate) memory stays below about 16 MiB, whatever
+/// the file declares or holds.
+///
+/// `max_seconds` counts from the start of the file to the end of the range, because what lies in
+/// front of the range is decoded as well; what lies behind it is never decoded and not counted.
+///
 /// # Errors
-/// Any [`AudioError`]: unknown container, undecodable, outside `limits`, cancelled.
+/// Any [`AudioError`]: unknown container, undecodable, outside `limits` or the range, cancelled. A
+/// panic of the decoder is an error of this call alone.
 pub fn decode(
-    _bytes: bytes::Bytes,
-    _range: AudioRange,
-    _rates: &[u32],
-    _limits: &AudioLimits,
-    _cancel: &CancelToken,
+    bytes: bytes::Bytes,
+    range: AudioRange,
+    rates: &[u32],
+    limits: &AudioLimits,
+    cancel: &CancelToken,
 ) -> Result<DecodedAudio, AudioError> {
-    Err(AudioError::Cancelled)
+    contained(move || {
+        let watch = Watch::start(limits, cancel);
+        watch.check()?;
+        range.check()?;
+        if let Some(&hz) = rates.iter().find(|&&hz| hz == 0) {
+            return Err(AudioError::OutputRate { hz });
+        }
+        let upload = sniff::sniff(&bytes)?;
+        drop(bytes);
+        limits::check_declared(&upload, range, limits)?;
+        limits::check_packets(Packets::open(&upload)?, range, limits, &watch)?;
+        let job = Job {
+            range,
+            rates,
+            limits,
+            watch: &watch,
+        };
+        decode::decode_packets(Packets::open(&upload)?, &upload, &job)
+    })
+}
+
+/// Turns a panic inside `work` into an error (RELIABILITY, defence 5). Everything that `work`
+/// touches is dropped by the unwinding, so nothing half-changed is seen afterwards.
+fn contained<T>(work: impl FnOnce() -> Result<T, AudioError>) -> Result<T, AudioError> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
+        let message = payload
+            .downcast_ref::<&str>()
+            .map(|text| (*text).to_owned())
+            .or_else(|| payload.downcast_ref::<String>().cloned())
+            .unwrap_or_else(|| "no message".to_owned());
+        Err(AudioError::DecoderPanic { message })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_is_an_error_of_this_call_alone() {
+        let broken: Result<(), _> = contained(|| panic!("index {} out of bounds", 3));
+        assert!(matches!(
+            broken,
+            Err(AudioError::DecoderPanic { message }) if message == "index 3 out of bounds"
+        ));
+        assert!(matches!(contained(|| Ok(7)), Ok(7)));
+    }
 }

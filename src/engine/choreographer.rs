@@ -147,10 +147,11 @@ impl Choreographer {
         let finish = FinishOptions {
             fps: options.fps,
             root_motion: options.root_motion,
+            decoded_fps: self.manifest().fps,
         };
         let skeleton = &self.manifest().skeleton;
         let finished = timed(&mut timings.motion, || {
-            motion::finish(raw.motion.view(), skeleton, finish)
+            motion::finish(raw.motion.view(), skeleton, &finish)
         })?;
         Ok(Dance {
             model: self.manifest().name.clone(),

@@ -16,29 +16,38 @@ use crate::{
 /// Codes decoded per chunk besides the overlap: two shapes at most are decoded per song.
 const CHUNK_CODES: usize = 64;
 
-/// Generates one code pair per row of `music` `[rows, columns]`, beginning with `start`.
-///
-/// The row beside code `k` is `k + 1`: the reference drops the first row.
+/// What one request's loop runs on.
+pub(crate) struct Request<'a> {
+    /// Music rows `[rows, columns]`.
+    pub(crate) music: ArrayView2<'a, f32>,
+    /// The first code pair, upper and lower.
+    pub(crate) start: [u32; 2],
+    /// How the window of past codes moves.
+    pub(crate) window: Window,
+    /// Hears about every code.
+    pub(crate) progress: &'a dyn Progress,
+    /// Checked at every step.
+    pub(crate) cancel: &'a CancelToken,
+}
+
+/// Generates one code pair per music row, beginning with the start pair.
 pub(crate) fn generate_codes(
     gpt: &mut Gpt,
-    music: ArrayView2<'_, f32>,
-    start: [u32; 2],
-    window: Window,
     sampler: &mut Sampler,
-    progress: &dyn Progress,
-    cancel: &CancelToken,
+    request: &Request<'_>,
 ) -> Result<Codes, ModelError> {
-    let rows = music.nrows();
+    let rows = request.music.nrows();
+    let [upper, lower] = request.start;
     let mut codes = Codes {
-        upper: vec![start[0]],
-        lower: vec![start[1]],
+        upper: vec![upper],
+        lower: vec![lower],
     };
     let mut cache = gpt.empty_cache()?;
     for step in 0..rows.saturating_sub(1) {
-        if cancel.is_cancelled() {
+        if request.cancel.is_cancelled() {
             return Err(ModelError::Cancelled);
         }
-        let first = match window.at(step) {
+        let first = match request.window.at(step) {
             WindowStep::Extend => step,
             WindowStep::Prime { start } => {
                 cache = gpt.empty_cache()?;
@@ -48,18 +57,24 @@ pub(crate) fn generate_codes(
         let steps = Steps {
             upper: codes.upper.get(first..).unwrap_or_default(),
             lower: codes.lower.get(first..).unwrap_or_default(),
-            music: music.slice_axis(Axis(0), Slice::from(first + 1..step + 2)),
+            // The row beside code k is k + 1: the reference drops the first row.
+            music: request
+                .music
+                .slice_axis(Axis(0), Slice::from(first + 1..step + 2)),
         };
-        let logits = gpt.run(steps, &mut cache, cancel)?;
+        let logits = gpt.run(steps, &mut cache, request.cancel)?;
         // Upper first: one generator per request serves both halves in this order.
-        let newest = |logits: &Array2<f32>| logits.nrows().saturating_sub(1);
-        let upper = sampler.next(logits.upper.row(newest(&logits.upper)).iter().copied());
-        let lower = sampler.next(logits.lower.row(newest(&logits.lower)).iter().copied());
-        codes.upper.push(upper as u32);
-        codes.lower.push(lower as u32);
-        progress.codes(step + 2, rows);
+        codes.upper.push(sample_newest(sampler, &logits.upper));
+        codes.lower.push(sample_newest(sampler, &logits.lower));
+        request.progress.codes(step + 2, rows);
     }
     Ok(codes)
+}
+
+fn sample_newest(sampler: &mut Sampler, logits: &Array2<f32>) -> u32 {
+    let newest = logits.row(logits.nrows().saturating_sub(1));
+    // The vocabulary is at most u32::MAX: the manifest's check says so.
+    sampler.next(newest.iter().copied()) as u32
 }
 
 /// Decodes a whole piece in overlapping chunks: the same as at once, with bounded memory.

@@ -12,15 +12,15 @@ use ndarray::Array2;
 
 use super::{
     EngineError,
-    generator::{decode_codes, generate_codes},
-    progress::Progress,
+    generator::{Request, decode_codes, generate_codes},
+    progress::{Progress, Stage},
     sampler::{Sampler, Sampling},
     window::Window,
 };
 use crate::{
     CancelToken, Error, Result,
     format::Codes,
-    model::{Decoder, Gpt, ModelDirectory, ModelError},
+    model::{Decoder, Gpt, Manifest, ModelDirectory, ModelError, WindowKind},
 };
 
 /// One request's work for the model.
@@ -156,7 +156,7 @@ impl Sessions {
             },
             seed: 0,
             start: [Some(0), Some(0)],
-            window: Window::new(crate::model::WindowKind::Sliding, 1, 2),
+            window: Window::new(WindowKind::Sliding, 1, 2),
             progress: Arc::new(()),
             cancel: CancelToken::new(),
         };
@@ -168,17 +168,15 @@ impl Sessions {
         let manifest = self.directory.manifest();
         let mut sampler = Sampler::new(job.sampling, job.seed);
         let start = start_codes(job.start, manifest, &mut sampler);
-        let codes = generate_codes(
-            &mut self.gpt,
-            job.music.view(),
+        let request = Request {
+            music: job.music.view(),
             start,
-            job.window,
-            &mut sampler,
-            job.progress.as_ref(),
-            &job.cancel,
-        )
-        .map_err(cancelled)?;
-        job.progress.stage(super::Stage::Motion);
+            window: job.window,
+            progress: job.progress.as_ref(),
+            cancel: &job.cancel,
+        };
+        let codes = generate_codes(&mut self.gpt, &mut sampler, &request).map_err(cancelled)?;
+        job.progress.stage(Stage::Motion);
         let motion = decode_codes(
             &mut self.decoder,
             &codes,
@@ -199,11 +197,7 @@ impl Sessions {
 /// The start pair: given codes win; the rest is drawn as a pair from the manifest's list, or from
 /// the whole vocabulary when it has none. Both numbers are drawn always, so that giving one half
 /// does not change the dance's other draws.
-fn start_codes(
-    given: [Option<u32>; 2],
-    manifest: &crate::model::Manifest,
-    sampler: &mut Sampler,
-) -> [u32; 2] {
+fn start_codes(given: [Option<u32>; 2], manifest: &Manifest, sampler: &mut Sampler) -> [u32; 2] {
     let vocabulary = manifest.vocabulary;
     let drawn = match manifest.start_codes.as_slice() {
         [] => [

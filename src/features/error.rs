@@ -20,4 +20,12 @@ pub enum FeatureError {
         /// Index of the first such sample.
         index: usize,
     },
+    /// A sample is so large that its power would overflow.
+    #[error("sample {index} of the signal is {value:e}; full scale is 1")]
+    OutOfRange {
+        /// Index of the first such sample.
+        index: usize,
+        /// Its value.
+        value: f32,
+    },
 }

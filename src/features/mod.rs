@@ -1,16 +1,57 @@
 //! PCM to the 438 music feature columns of FEATURES.md; one file per stage.
 
+mod beat;
+mod chain;
+mod chroma;
+mod cqt;
+mod cqt_basis;
+mod decibel;
+mod decimate;
 mod error;
+mod fft;
+mod hpss;
+mod istft;
+mod median;
+mod mel;
+mod mfcc;
+mod onset;
+mod padding;
+mod settings;
+mod stft;
+mod tempo;
+mod tempogram;
+mod tuning;
 
-pub use error::FeatureError;
+use std::{fmt, ops::Range};
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
+
+pub use self::error::FeatureError;
+use self::{chain::Chain, settings::Settings};
 
 /// Columns of a feature row.
 pub const COLUMNS: usize = 438;
 /// Samples between two rows, at either rate.
 pub const HOP: usize = 512;
+
+/// Columns of the MFCC.
+pub const MFCC_COLUMNS: Range<usize> = 0..20;
+/// Columns of the slopes of the MFCC.
+pub const DELTA_COLUMNS: Range<usize> = 20..40;
+/// Columns of the chroma, C first.
+pub const CHROMA_COLUMNS: Range<usize> = 40..52;
+/// Column of the onset strength.
+pub const ONSET_COLUMN: usize = 52;
+/// Column that is 1 at beats.
+pub const BEAT_COLUMN: usize = 53;
+/// Columns of the tempogram, by lag in rows.
+pub const TEMPOGRAM_COLUMNS: Range<usize> = 54..COLUMNS;
+
+// The slopes need a neighbour on both sides.
+const MIN_ROWS: usize = 3;
+// Beyond any sound; the power of a full-scale frame still fits f32.
+const LOUDEST: f32 = 1e15;
 
 /// Which librosa version's numbers are reproduced (FEATURES sections 1-9 and 11).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -59,12 +100,34 @@ pub struct Beats {
     pub frames: Vec<usize>,
 }
 
+/// Every stage of the chain on one song; `T` rows.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Stages {
+    /// Mel spectrum of the signal in dB below its maximum, `[T, 128]`, -80..=0 (section 3).
+    pub mel_db: Array2<f32>,
+    /// Harmonic part of the signal, as long as the signal (section 4).
+    pub harmonic: Vec<f32>,
+    /// Percussive part of the signal, as long as the signal (section 4).
+    pub percussive: Vec<f32>,
+    /// Tuning of the harmonic part, a fraction of a 36th of an octave (section 5).
+    pub tuning: f64,
+    /// Constant-Q magnitudes of the harmonic part, `[T, 180]` or `[T, 252]` (section 6).
+    pub cqt: Array2<f32>,
+    /// Tempo and beats (section 9).
+    pub beats: Beats,
+    /// The feature matrix, `[T, 438]`: the other stages are its columns.
+    pub features: Array2<f32>,
+}
+
 /// Computes features at one rate and profile: tables and transforms are planned once in
 /// [`FeatureExtractor::new`].
-#[derive(Debug)]
+///
+/// A song is one call: decibels, tuning, tempo and beats depend on the whole of it.
 pub struct FeatureExtractor {
-    _rate: Rate,
-    _profile: Profile,
+    rate: Rate,
+    profile: Profile,
+    chain: Chain,
 }
 
 impl FeatureExtractor {
@@ -72,24 +135,213 @@ impl FeatureExtractor {
     #[must_use]
     pub fn new(rate: Rate, profile: Profile) -> Self {
         Self {
-            _rate: rate,
-            _profile: profile,
+            rate,
+            profile,
+            chain: Chain::new(Settings::new(rate, profile)),
         }
+    }
+
+    /// The sample rate this extractor was planned for.
+    #[must_use]
+    pub fn rate(&self) -> Rate {
+        self.rate
+    }
+
+    /// The profile this extractor was planned for.
+    #[must_use]
+    pub fn profile(&self) -> Profile {
+        self.profile
     }
 
     /// The `[T, 438]` feature matrix of `pcm` (mono, at this extractor's rate), `T = 1 + floor(N / 512)`.
     ///
     /// # Errors
-    /// [`FeatureError::TooShort`] for fewer than 3 rows.
-    pub fn extract(&mut self, _pcm: &[f32]) -> Result<Array2<f32>, FeatureError> {
-        Err(FeatureError::TooShort { rows: 0, needed: 3 })
+    /// [`FeatureError::TooShort`] for fewer than 3 rows, [`FeatureError::NotFinite`] and
+    /// [`FeatureError::OutOfRange`] for samples that are no sound.
+    pub fn extract(&mut self, pcm: &[f32]) -> Result<Array2<f32>, FeatureError> {
+        let mut features = self.blank_features(pcm)?;
+        // Each stage's own result is dropped as soon as the columns hold what they need of it.
+        let (split, mel_db) = self.chain.split(pcm);
+        self.chain.timbre(&mel_db, &mut features);
+        drop(mel_db);
+        let onset = self.chain.onset(&split.percussive);
+        drop(split.percussive);
+        let beats = self.chain.beats(&onset);
+        self.chain.rhythm(&onset, &beats, &mut features);
+        let tuning = self.chain.tuning(&split.harmonic);
+        let cqt = self.chain.cqt(&split.harmonic, tuning);
+        self.chain.chroma(&cqt, &mut features);
+        Ok(features)
+    }
+
+    /// As [`FeatureExtractor::extract`], with all that lies between.
+    ///
+    /// # Errors
+    /// As [`FeatureExtractor::extract`].
+    pub fn extract_stages(&mut self, pcm: &[f32]) -> Result<Stages, FeatureError> {
+        let mut features = self.blank_features(pcm)?;
+        let (split, mel_db) = self.chain.split(pcm);
+        self.chain.timbre(&mel_db, &mut features);
+        let onset = self.chain.onset(&split.percussive);
+        let beats = self.chain.beats(&onset);
+        self.chain.rhythm(&onset, &beats, &mut features);
+        let tuning = self.chain.tuning(&split.harmonic);
+        let cqt = self.chain.cqt(&split.harmonic, tuning);
+        self.chain.chroma(&cqt, &mut features);
+        Ok(Stages {
+            mel_db,
+            harmonic: split.harmonic,
+            percussive: split.percussive,
+            tuning,
+            cqt,
+            beats,
+            features,
+        })
     }
 
     /// Tempo and beats alone: skips everything that only the other columns need.
     ///
     /// # Errors
-    /// [`FeatureError::TooShort`] for fewer than 3 rows.
-    pub fn beats(&mut self, _pcm: &[f32]) -> Result<Beats, FeatureError> {
-        Err(FeatureError::TooShort { rows: 0, needed: 3 })
+    /// As [`FeatureExtractor::extract`].
+    pub fn beats(&mut self, pcm: &[f32]) -> Result<Beats, FeatureError> {
+        check(pcm)?;
+        let percussive = self.chain.percussive(pcm);
+        let onset = self.chain.onset(&percussive);
+        Ok(self.chain.beats(&onset))
+    }
+
+    /// Tempo and beats of a given onset envelope (column 52), `[T]`.
+    pub fn beats_of_onset(&mut self, onset: &[f32]) -> Beats {
+        self.chain.beats(onset)
+    }
+
+    /// Spectral magnitudes of the first `rows` frames, `[min(rows, T), 1025]` (section 2).
+    ///
+    /// # Errors
+    /// As [`FeatureExtractor::extract`].
+    pub fn stft_magnitudes(
+        &mut self,
+        pcm: &[f32],
+        rows: usize,
+    ) -> Result<Array2<f32>, FeatureError> {
+        check(pcm)?;
+        Ok(self.chain.stft_magnitudes(pcm, rows))
+    }
+
+    /// Constant-Q magnitudes `[T, 180]` or `[T, 252]` of `signal` for a given tuning, a fraction
+    /// of a bin in [-0.5, 0.5] (section 6).
+    ///
+    /// # Errors
+    /// As [`FeatureExtractor::extract`].
+    pub fn cqt(&mut self, signal: &[f32], tuning: f64) -> Result<Array2<f32>, FeatureError> {
+        check(signal)?;
+        Ok(self.chain.cqt(signal, tuning.clamp(-0.5, 0.5)))
+    }
+
+    fn blank_features(&self, pcm: &[f32]) -> Result<Array2<f32>, FeatureError> {
+        check(pcm)?;
+        Ok(Array2::zeros((row_count(pcm.len()), COLUMNS)))
+    }
+}
+
+impl fmt::Debug for FeatureExtractor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FeatureExtractor")
+            .field("rate", &self.rate)
+            .field("profile", &self.profile)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Feature rows of a signal of `samples` samples.
+fn row_count(samples: usize) -> usize {
+    1 + samples / HOP
+}
+
+fn check(pcm: &[f32]) -> Result<(), FeatureError> {
+    let rows = row_count(pcm.len());
+    if rows < MIN_ROWS {
+        return Err(FeatureError::TooShort {
+            rows,
+            needed: MIN_ROWS,
+        });
+    }
+    match pcm.iter().position(|sample| !(sample.abs() <= LOUDEST)) {
+        None => Ok(()),
+        Some(index) if pcm[index].is_finite() => Err(FeatureError::OutOfRange {
+            index,
+            value: pcm[index],
+        }),
+        Some(index) => Err(FeatureError::NotFinite { index }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn extractor() -> FeatureExtractor {
+        FeatureExtractor::new(Rate::Conditioning, Profile::Librosa011)
+    }
+
+    #[test]
+    fn fewer_than_three_rows_are_refused() {
+        let expected = |rows| Err(FeatureError::TooShort { rows, needed: 3 });
+        assert_eq!(extractor().extract(&[0.1; 1_023]), expected(2));
+        assert_eq!(extractor().extract(&[]), expected(1));
+        assert_eq!(
+            extractor().beats(&[0.1; 511]).map(|_| ()),
+            expected(1).map(|_: Array2<f32>| ())
+        );
+        let features = extractor().extract(&[0.1; 1_024]).unwrap();
+        assert_eq!(features.dim(), (3, COLUMNS));
+    }
+
+    #[test]
+    fn samples_that_are_no_sound_are_refused_by_index() {
+        for (sample, expected) in [
+            (f32::NAN, FeatureError::NotFinite { index: 700 }),
+            (f32::NEG_INFINITY, FeatureError::NotFinite { index: 700 }),
+            (
+                -1e30,
+                FeatureError::OutOfRange {
+                    index: 700,
+                    value: -1e30,
+                },
+            ),
+        ] {
+            let mut pcm = vec![0.0; 4_000];
+            pcm[700] = sample;
+            assert_eq!(extractor().extract(&pcm), Err(expected.clone()));
+            assert_eq!(extractor().beats(&pcm), Err(expected));
+        }
+    }
+
+    #[test]
+    fn the_loudest_and_the_faintest_signals_stay_finite() {
+        for profile in [Profile::Librosa011, Profile::Librosa081] {
+            for level in [LOUDEST, 1e-30, f32::MIN_POSITIVE / 8.0] {
+                let pcm: Vec<f32> = (0..9_000).map(|i| level * (i as f32 * 0.7).sin()).collect();
+                let features = FeatureExtractor::new(Rate::Beats, profile)
+                    .extract(&pcm)
+                    .unwrap();
+                assert!(
+                    features.iter().all(|x| x.is_finite()),
+                    "{profile:?} {level}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn an_extractor_keeps_nothing_of_the_song_before() {
+        let song: Vec<f32> = (0..40_000)
+            .map(|i| (i as f32 * 0.05).sin() * if i % 4_000 < 400 { 1.0 } else { 0.1 })
+            .collect();
+        let mut used = extractor();
+        used.extract(&song[..30_000]).unwrap();
+        used.beats(&song[..20_000]).unwrap();
+        let fresh = extractor().extract(&song).unwrap();
+        assert_eq!(used.extract(&song).unwrap(), fresh);
     }
 }

@@ -15,6 +15,14 @@ pub enum MotionError {
         /// What was found.
         got: String,
     },
+    /// The motion holds a NaN or an infinity.
+    #[error("the motion is not finite at frame {frame}, joint {joint}")]
+    NotFinite {
+        /// First frame concerned.
+        frame: usize,
+        /// First joint concerned in that frame.
+        joint: usize,
+    },
     /// The frame rate is not one of those offered.
     #[error("fps {got} is not available: choose one of 20, 24, 30, 60")]
     FrameRate {

@@ -1,10 +1,27 @@
 //! Skeleton, root integration, rotations by inverse kinematics, forward kinematics, the floor,
 //! and resampling of the frame rate.
+//!
+//! Metres, y up, right-handed; the rest pose faces +z with the left side at +x.
 
 mod error;
+mod finish;
+mod fit;
+mod floor;
+mod forward;
+mod inverse;
+mod resample;
+mod root;
 mod skeleton;
+#[cfg(test)]
+mod tests;
 
 pub use error::MotionError;
+pub use finish::{FinishOptions, Finished, PositionsSource, finish};
+pub use floor::{STANDING_HEIGHT, floor_correction, lower_foot_heights};
+pub use forward::forward;
+pub use inverse::InverseKinematics;
+pub use resample::{FRAME_RATES, resample};
+pub use root::integrate_root;
 pub use skeleton::Skeleton;
 
 use glam::{Quat, Vec3};
@@ -22,42 +39,4 @@ pub struct Animation {
     pub root: Vec<Vec3>,
     /// Local unit quaternions, `[frame][joint]`, sign-continuous along time.
     pub rotations: Vec<Vec<Quat>>,
-}
-
-/// Frame rates that a dance can be had at.
-pub const FRAME_RATES: [u32; 4] = [20, 24, 30, 60];
-
-/// What [`finish`] makes of decoded motion.
-#[derive(Clone, Copy, Debug)]
-pub struct FinishOptions {
-    /// Frames per second of the result.
-    pub fps: u32,
-    /// Whether the dancer travels.
-    pub root_motion: bool,
-}
-
-/// A finished motion.
-#[derive(Clone, Debug)]
-pub struct Finished {
-    /// Rotations and root.
-    pub animation: Animation,
-    /// Joint positions.
-    pub positions: Positions,
-    /// Where the positions come from.
-    pub source: crate::format::PositionsSource,
-}
-
-/// Decoder output `[frames, 3 joints]` at 60 fps to a motion on the floor.
-///
-/// # Errors
-/// [`MotionError`] for other shapes or frame rates.
-pub fn finish(
-    decoded: ndarray::ArrayView2<'_, f32>,
-    _skeleton: &Skeleton,
-    _options: FinishOptions,
-) -> Result<Finished, MotionError> {
-    Err(MotionError::Shape {
-        expected: "motion".into(),
-        got: format!("{:?}", decoded.dim()),
-    })
 }

@@ -67,4 +67,26 @@ impl Skeleton {
             .get(joint)
             .and_then(|&p| usize::try_from(p).ok())
     }
+
+    /// The joints that stand on the floor: those named `l_foot` and `r_foot` (SMPL 10 and 11), else
+    /// the lowest joint of the rest pose and its equals within 5 cm.
+    #[must_use]
+    pub fn foot_joints(&self) -> Vec<usize> {
+        let named: Vec<usize> = (0..self.joints.len())
+            .filter(|&joint| matches!(self.joints[joint].as_str(), "l_foot" | "r_foot"))
+            .collect();
+        if !named.is_empty() {
+            return named;
+        }
+        let mut heights = vec![0.0_f32; self.joints.len()];
+        for joint in 0..self.joints.len() {
+            if let (Some(parent), Some(offset)) = (self.parent(joint), self.offsets.get(joint)) {
+                heights[joint] = heights[parent] + offset[1];
+            }
+        }
+        let lowest = heights.iter().copied().fold(f32::INFINITY, f32::min);
+        (0..heights.len())
+            .filter(|&joint| heights[joint] <= lowest + 0.05)
+            .collect()
+    }
 }

@@ -99,10 +99,7 @@ impl Admission {
             served.iter().copied().collect()
         };
         served.sort_unstable();
-        served
-            .get(served.len() / 2)
-            .copied()
-            .unwrap_or(FIRST_GUESS)
+        served.get(served.len() / 2).copied().unwrap_or(FIRST_GUESS)
     }
 
     fn remember(&self, service: Duration) {

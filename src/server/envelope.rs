@@ -55,7 +55,11 @@ fn drop_odd_request_id(mut request: Request) -> Request {
                 .iter()
                 .all(|b| b.is_ascii_alphanumeric() || b"-_.:/+=".contains(b))
     };
-    if request.headers().get(REQUEST_ID).is_some_and(|id| !sane(id)) {
+    if request
+        .headers()
+        .get(REQUEST_ID)
+        .is_some_and(|id| !sane(id))
+    {
         request.headers_mut().remove(REQUEST_ID);
     }
     request

@@ -42,7 +42,9 @@ pub(crate) enum ServerError {
     MethodNotAllowed { path: String, method: String },
     #[error("the Accept header asks for {asked:?}, which is not available: expected {available}")]
     NotAcceptable { asked: String, available: String },
-    #[error("the body was not sent in time: {idle} s without data and {total} s in all are allowed")]
+    #[error(
+        "the body was not sent in time: {idle} s without data and {total} s in all are allowed"
+    )]
     UploadTimeout { idle: Seconds, total: Seconds },
     #[error("the upload broke off before its end")]
     UploadBroken,
@@ -61,7 +63,10 @@ pub(crate) enum ServerError {
     #[error("the server is shutting down: try again in {} s", retry_after.retry_after())]
     Draining { retry_after: Seconds },
     #[error("there was no result within {limit} s: try again in {} s, or send a shorter part", retry_after.retry_after())]
-    Timeout { limit: Seconds, retry_after: Seconds },
+    Timeout {
+        limit: Seconds,
+        retry_after: Seconds,
+    },
     #[error("the server failed: {0}")]
     Internal(String),
     #[error(transparent)]
@@ -90,9 +95,7 @@ impl ServerError {
             Self::MissingAudio => (StatusCode::BAD_REQUEST, "missing_audio"),
             Self::UploadBroken => (StatusCode::BAD_REQUEST, "upload_broken"),
             Self::NotFound { .. } => (StatusCode::NOT_FOUND, "not_found"),
-            Self::MethodNotAllowed { .. } => {
-                (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed")
-            }
+            Self::MethodNotAllowed { .. } => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
             Self::NotAcceptable { .. } => (StatusCode::NOT_ACCEPTABLE, "not_acceptable"),
             Self::UploadTimeout { .. } => (StatusCode::REQUEST_TIMEOUT, "upload_timeout"),
             Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "payload_too_large"),
@@ -142,8 +145,25 @@ fn classify_dance(error: &Error) -> (StatusCode, &'static str) {
 }
 
 fn classify_audio(error: &AudioError) -> (StatusCode, &'static str) {
+    const UNPROCESSABLE: StatusCode = StatusCode::UNPROCESSABLE_ENTITY;
     match error {
-        AudioError::Cancelled => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
+        AudioError::Empty => (StatusCode::BAD_REQUEST, "missing_audio"),
+        AudioError::UnsupportedContainer { .. } | AudioError::UnsupportedCodec { .. } => {
+            (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type")
+        }
+        AudioError::TooShort { .. } => (UNPROCESSABLE, "audio_too_short"),
+        AudioError::TooLong { .. } => (UNPROCESSABLE, "audio_too_long"),
+        AudioError::RangeOutside { .. } | AudioError::InvalidRange { .. } => {
+            (StatusCode::BAD_REQUEST, "invalid_option")
+        }
+        AudioError::Malformed { .. }
+        | AudioError::SampleRate { .. }
+        | AudioError::Channels { .. }
+        | AudioError::DecodeTimeout { .. }
+        | AudioError::DecoderPanic { .. } => (UNPROCESSABLE, "undecodable_audio"),
+        AudioError::Cancelled | AudioError::OutputRate { .. } => {
+            (StatusCode::INTERNAL_SERVER_ERROR, "internal")
+        }
     }
 }
 

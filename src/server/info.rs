@@ -3,12 +3,9 @@
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{
-    config::Limits,
-    render::{FORMATS, OutputFormat},
-    state::Generate,
-};
+use super::{config::Limits, state::Generate};
 use crate::{
+    format::OutputFormat,
     model::{Manifest, WindowKind},
     motion::FRAME_RATES,
 };
@@ -98,7 +95,7 @@ impl Info {
             version: env!("CARGO_PKG_VERSION"),
             model: ModelInfo::new(engine.manifest(), engine.model_sha256()),
             frame_rates: FRAME_RATES,
-            formats: FORMATS.map(|format: OutputFormat| FormatInfo {
+            formats: OutputFormat::ALL.map(|format| FormatInfo {
                 name: format.name(),
                 content_type: format.content_type(),
             }),

@@ -12,13 +12,11 @@ use utoipa::{
     },
 };
 
-use super::{
-    error::ServerError,
-    render::{BvhUnit, Encoding, OutputFormat},
-};
+use super::error::ServerError;
 use crate::{
     audio::AudioRange,
     engine::{GenerationOptions, MAX_SEED, MAX_TEMPERATURE},
+    format::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
     model::WindowKind,
     motion::FRAME_RATES,
 };
@@ -46,9 +44,9 @@ pub(crate) struct RequestOptions {
     duration_s: Option<f64>,
     root_motion: Option<bool>,
     music: Option<bool>,
-    pub(crate) rotations: bool,
-    pub(crate) encoding: Encoding,
-    pub(crate) bvh_unit: BvhUnit,
+    rotations: bool,
+    encoding: Option<Encoding>,
+    bvh_unit: Option<BvhUnit>,
     given: Vec<&'static str>,
 }
 
@@ -67,9 +65,14 @@ enum Accepts {
     Words(&'static [&'static str]),
     IntegerOf(&'static [u32]),
     /// From `least` to `most`.
-    Integer { least: u64, most: u64 },
+    Integer {
+        least: u64,
+        most: u64,
+    },
     /// From 0 to `most`.
-    Number { most: f64 },
+    Number {
+        most: f64,
+    },
     /// Above 0.
     PositiveNumber,
     Boolean,
@@ -80,10 +83,7 @@ const OPTIONS: [OptionSpec; 16] = [
         name: "format",
         about: "Format of the dance. Wins over the Accept header. Default: json.",
         accepts: Accepts::Words(&["json", "bvh"]),
-        read: |options, text| {
-            options.format = OutputFormat::from_name(text);
-            options.format.is_some()
-        },
+        read: |options, text| put(&mut options.format, text),
     },
     OptionSpec {
         name: "fps",
@@ -191,27 +191,15 @@ const OPTIONS: [OptionSpec; 16] = [
     },
     OptionSpec {
         name: "encoding",
-        about: "How the JSON carries positions: as `numbers`, or as `base64` of little-endian float32. Default: numbers.",
-        accepts: Accepts::Words(&["numbers", "base64"]),
-        read: |options, text| {
-            options.encoding = match text {
-                "base64" => Encoding::Base64,
-                _ => Encoding::Numbers,
-            };
-            true
-        },
+        about: "How the JSON carries large arrays: `json` numbers, or `base64` of little-endian float32. Default: json.",
+        accepts: Accepts::Words(&["json", "base64"]),
+        read: |options, text| put(&mut options.encoding, text),
     },
     OptionSpec {
         name: "bvh_unit",
         about: "Unit of lengths in BVH. Default: cm.",
         accepts: Accepts::Words(&["cm", "m"]),
-        read: |options, text| {
-            options.bvh_unit = match text {
-                "m" => BvhUnit::Metres,
-                _ => BvhUnit::Centimetres,
-            };
-            true
-        },
+        read: |options, text| put(&mut options.bvh_unit, text),
     },
 ];
 
@@ -279,6 +267,16 @@ impl RequestOptions {
         Ok(options)
     }
 
+    /// Writes `dance` as asked for.
+    pub(crate) fn write(&self, dance: &Dance, format: OutputFormat) -> crate::Result<Vec<u8>> {
+        let json = JsonOptions {
+            rotations: self.rotations,
+            encoding: self.encoding.unwrap_or_default(),
+        };
+        let bytes = format.write(dance, &json, self.bvh_unit.unwrap_or_default())?;
+        Ok(bytes)
+    }
+
     /// The engine's part of the options.
     pub(crate) fn generation(&self, format: OutputFormat) -> GenerationOptions {
         let default = GenerationOptions::default();
@@ -330,9 +328,9 @@ impl Accepts {
         match self {
             Self::Words(words) => of(Type::String).enum_values(Some(words.iter().copied())),
             Self::IntegerOf(values) => of(Type::Integer).enum_values(Some(values.iter().copied())),
-            Self::Integer { least, most } => of(Type::Integer)
-                .minimum(Some(least))
-                .maximum(Some(most)),
+            Self::Integer { least, most } => {
+                of(Type::Integer).minimum(Some(least)).maximum(Some(most))
+            }
             Self::Number { most } if most == f64::MAX => of(Type::Number).minimum(Some(0)),
             Self::Number { most } => of(Type::Number).minimum(Some(0)).maximum(Some(most)),
             Self::PositiveNumber => of(Type::Number).exclusive_minimum(Some(0)),
@@ -391,9 +389,9 @@ impl utoipa::PartialSchema for GenerateForm {
         let form = ObjectBuilder::new()
             .property("file", audio)
             .required("file")
-            .additional_properties(Some(utoipa::openapi::schema::AdditionalProperties::<
-                Schema,
-            >::FreeForm(false)));
+            .additional_properties(Some(
+                utoipa::openapi::schema::AdditionalProperties::<Schema>::FreeForm(false),
+            ));
         OPTIONS
             .iter()
             .fold(form, |form, option| {
@@ -426,8 +424,8 @@ mod tests {
         .unwrap();
         assert_eq!(options.given.len(), OPTIONS.len());
         assert_eq!(options.format, Some(OutputFormat::Bvh));
-        assert_eq!(options.encoding, Encoding::Base64);
-        assert_eq!(options.bvh_unit, BvhUnit::Metres);
+        assert_eq!(options.encoding, Some(Encoding::Base64));
+        assert_eq!(options.bvh_unit, Some(BvhUnit::Metre));
         assert!(options.rotations);
         assert_eq!(
             options.generation(OutputFormat::Bvh),
@@ -465,8 +463,14 @@ mod tests {
             let problem = query(text).unwrap_err();
             assert!(problem.contains(wanted), "{text}: {problem}");
         };
-        says("fps=25", "option `fps`: got \"25\", expected one of 20, 24, 30, 60");
-        says("seed=-1", "expected a whole number from 0 to 9007199254740991");
+        says(
+            "fps=25",
+            "option `fps`: got \"25\", expected one of 20, 24, 30, 60",
+        );
+        says(
+            "seed=-1",
+            "expected a whole number from 0 to 9007199254740991",
+        );
         says("seed=9007199254740992", "option `seed`");
         says("seed=", "option `seed`: got \"\"");
         says("temperature=warm", "expected a number from 0 to 10");
@@ -480,8 +484,14 @@ mod tests {
         says("duration_s=inf", "option `duration_s`");
         says("root_motion=maybe", "expected true or false");
         says("include=everything", "expected rotations");
-        says("seed=1&seed=1", "option `seed`: it was given more than once");
-        says("sede=1", "there is no such option; there are format, fps, seed");
+        says(
+            "seed=1&seed=1",
+            "option `seed`: it was given more than once",
+        );
+        says(
+            "sede=1",
+            "there is no such option; there are format, fps, seed",
+        );
         says("continue_from=x", "not available yet");
         says("format=glb", "glb is not available yet in this version");
         says("format=mp4", "expected one of json, bvh");

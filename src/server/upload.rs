@@ -176,7 +176,11 @@ impl<'limits> AudioBuffer<'limits> {
     fn limit(&self, chunk: &[u8]) -> ByteSize {
         let mut prefix = [0; Self::PREFIX];
         let seen = self.bytes.iter().chain(chunk);
-        let known = prefix.iter_mut().zip(seen).map(|(to, from)| *to = *from).count();
+        let known = prefix
+            .iter_mut()
+            .zip(seen)
+            .map(|(to, from)| *to = *from)
+            .count();
         if known < Self::PREFIX || is_lossless(&prefix) {
             self.limits.payload_limit_lossless
         } else {

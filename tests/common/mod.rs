@@ -5,7 +5,10 @@ use std::path::PathBuf;
 /// Path of shared test material: `BAILANDO_SHARED`, default `../shared` beside the workspace.
 /// `None` (with one line on standard output) when neither is there; a missing file inside it is
 /// the caller's failure.
-#[allow(dead_code, reason = "not every integration test binary uses every helper")]
+#[allow(
+    dead_code,
+    reason = "not every integration test binary uses every helper"
+)]
 pub fn shared(relative: &str) -> Option<PathBuf> {
     let root = match std::env::var_os("BAILANDO_SHARED") {
         Some(root) => PathBuf::from(root),

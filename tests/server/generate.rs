@@ -19,7 +19,9 @@ async fn ask(request: Request<Body>) -> Answer {
 
 async fn ask_accepting(request: Request<Body>, accept: &'static str) -> Answer {
     let (mut parts, body) = request.into_parts();
-    parts.headers.insert(header::ACCEPT, accept.parse().unwrap());
+    parts
+        .headers
+        .insert(header::ACCEPT, accept.parse().unwrap());
     ask(Request::from_parts(parts, body)).await
 }
 
@@ -43,7 +45,13 @@ async fn form_and_raw_body_give_the_same() {
     assert_eq!(as_form.body, as_raw.body);
     assert_eq!(as_form.body, as_mixed.body);
     assert_eq!(as_form.json()["fps"], 30);
-    assert!(fake.heard.lock().unwrap().iter().all(|audio| audio == "song"));
+    assert!(
+        fake.heard
+            .lock()
+            .unwrap()
+            .iter()
+            .all(|audio| audio == "song")
+    );
 }
 
 /// `curl --data-binary` names the form type when no other is given.
@@ -231,7 +239,9 @@ async fn bodies_that_hold_no_audio_are_refused() {
 async fn a_panic_costs_its_own_request_only() {
     let app = app(&Fake::new(), &Limits::default());
     for _ in 0..5 {
-        let said = send(&app, raw("", PANIC)).await.expect_error(500, "internal");
+        let said = send(&app, raw("", PANIC))
+            .await
+            .expect_error(500, "internal");
         assert!(!said.contains("test wants"), "internals leaked: {said}");
     }
     assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);

@@ -83,7 +83,13 @@ fn post(audio: &[u8]) -> Vec<u8> {
 async fn draining_ends_what_was_accepted_and_refuses_the_rest() {
     let fake = Fake::new();
     let mut server = Server::start(&fake, small_limits()).await;
-    assert!(server.exchange(get("/ready")).await.unwrap().starts_with("HTTP/1.1 200"));
+    assert!(
+        server
+            .exchange(get("/ready"))
+            .await
+            .unwrap()
+            .starts_with("HTTP/1.1 200")
+    );
     let running = server.exchange(post(BLOCK));
     fake.wait_started(1).await;
     server.stop();
@@ -108,7 +114,13 @@ async fn draining_ends_what_was_accepted_and_refuses_the_rest() {
 async fn an_idle_server_stops_at_once() {
     let fake = Fake::new();
     let mut server = Server::start(&fake, Limits::default()).await;
-    assert!(server.exchange(post(b"song")).await.unwrap().starts_with("HTTP/1.1 200"));
+    assert!(
+        server
+            .exchange(post(b"song"))
+            .await
+            .unwrap()
+            .starts_with("HTTP/1.1 200")
+    );
     let idle = TcpStream::connect(server.address).unwrap();
     let started = Instant::now();
     server.stop();
@@ -132,7 +144,10 @@ async fn requests_that_outlive_the_drain_are_told_so() {
     assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
     assert!(answer.contains("\"draining\""), "{answer}");
     let ended = server.task.await.unwrap();
-    assert!(matches!(ended, Err(ServeError::DrainTimeout { lost: 1, .. })));
+    assert!(matches!(
+        ended,
+        Err(ServeError::DrainTimeout { lost: 1, .. })
+    ));
     fake.wait_ended(1).await;
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
 }
@@ -148,7 +163,13 @@ async fn a_closed_connection_stops_its_work() {
     drop(stream);
     fake.wait_ended(1).await;
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
-    assert!(server.exchange(post(b"song")).await.unwrap().starts_with("HTTP/1.1 200"));
+    assert!(
+        server
+            .exchange(post(b"song"))
+            .await
+            .unwrap()
+            .starts_with("HTTP/1.1 200")
+    );
 }
 
 /// An upload that breaks off, and one that is refused while it is still being sent.
@@ -185,5 +206,11 @@ async fn answers_reach_clients_that_are_still_sending() {
     let mut half = TcpStream::connect(server.address).unwrap();
     half.write_all(&post(b"0123456789")[..80]).unwrap();
     drop(half);
-    assert!(server.exchange(post(b"song")).await.unwrap().starts_with("HTTP/1.1 200"));
+    assert!(
+        server
+            .exchange(post(b"song"))
+            .await
+            .unwrap()
+            .starts_with("HTTP/1.1 200")
+    );
 }

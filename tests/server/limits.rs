@@ -227,7 +227,10 @@ async fn slow_bodies_are_dropped() {
     let dribbling = slow(limits, usize::MAX, Duration::from_millis(20));
     let started = Instant::now();
     let said = stalled.await.expect_error(408, "upload_timeout");
-    assert!(said.contains("0.2 s without data and 0.5 s in all"), "{said}");
+    assert!(
+        said.contains("0.2 s without data and 0.5 s in all"),
+        "{said}"
+    );
     assert!(started.elapsed() < Duration::from_millis(450));
     let started = Instant::now();
     dribbling.await.expect_error(408, "upload_timeout");

@@ -100,7 +100,9 @@ async fn probes_answer() {
 #[tokio::test]
 async fn unknown_paths_and_methods_have_the_error_shape() {
     let app = app(&Fake::new(), &Limits::default());
-    get(&app, "/no/such/path").await.expect_error(404, "not_found");
+    get(&app, "/no/such/path")
+        .await
+        .expect_error(404, "not_found");
     get(&app, "/docs/no-such-asset")
         .await
         .expect_error(404, "not_found");

@@ -1,0 +1,53 @@
+# Three stages: the program, the ONNX Runtime library, and an image with those two, the default
+# model and Debian's C++ runtime: no compiler, no Python, no root, no writes.
+#
+#   docker build -t bailando .
+#   docker run --rm -p 8080:8080 --read-only --cap-drop ALL bailando
+
+FROM rust:1.95-bookworm AS builder
+WORKDIR /build
+# The dependencies in a layer of their own: they change less often than the code.
+COPY Cargo.toml Cargo.lock ./
+COPY train/Cargo.toml train/
+RUN mkdir -p src train/src \
+    && touch src/lib.rs train/src/lib.rs \
+    && echo 'fn main() {}' > src/main.rs \
+    && echo 'fn main() {}' > train/src/main.rs \
+    && cargo build --release --locked --package bailando --bin bailando
+COPY . .
+# cargo compares times, and those of the context may lie before the layer above.
+RUN touch src/lib.rs src/main.rs \
+    && cargo build --release --locked --package bailando --bin bailando
+
+FROM debian:bookworm-slim AS onnxruntime
+# hadolint ignore=DL3008
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends ca-certificates python3-pip \
+    && rm -rf /var/lib/apt/lists/*
+COPY scripts/fetch-onnxruntime.sh /
+RUN /fetch-onnxruntime.sh --dest /opt/onnxruntime
+
+FROM debian:bookworm-slim
+LABEL org.opencontainers.image.title="bailando" \
+      org.opencontainers.image.description="Music in, 3-D dance out, over HTTP" \
+      org.opencontainers.image.licenses="MIT"
+# hadolint ignore=DL3008
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends libstdc++6 \
+    && rm -rf /var/lib/apt/lists/*
+COPY --from=onnxruntime /opt/onnxruntime/LICENSE /opt/onnxruntime/ThirdPartyNotices.txt \
+     /usr/local/share/doc/onnxruntime/
+COPY --from=onnxruntime /opt/onnxruntime/lib/libonnxruntime.so /usr/local/lib/
+ENV ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so
+WORKDIR /app
+COPY LICENSE ./
+COPY models/default models/default
+COPY --from=builder /build/target/release/bailando /usr/local/bin/
+# A number, so that an orchestrator can see that it is not root.
+USER 10001:10001
+EXPOSE 8080
+STOPSIGNAL SIGTERM
+HEALTHCHECK --interval=30s --timeout=5s --start-period=20s --retries=3 \
+    CMD ["bailando", "healthcheck", "--url", "http://127.0.0.1:8080/health"]
+ENTRYPOINT ["bailando"]
+CMD ["serve", "--host", "0.0.0.0"]

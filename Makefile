@@ -1,0 +1,51 @@
+# The targets of everyday work. `make run` and `make test` need a Rust toolchain, a C linker and,
+# once, python3 with pip; they say what is missing.
+
+CARGO ?= cargo
+# Arguments for the server: make run ARGS='--port 9000 --model-dir my-model'
+ARGS ?=
+# Any engine with docker's `build` command line: docker, podman, buildah.
+DOCKER ?= docker
+IMAGE ?= bailando
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run build test fmt deny clean docker toolchain
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: ## fetch the ONNX Runtime library (pinned and checksummed) into .onnxruntime/
+	@if [ -n "$$ORT_DYLIB_PATH" ]; then echo "ORT_DYLIB_PATH is set: no library is fetched"; \
+	else scripts/fetch-onnxruntime.sh; fi
+
+toolchain:
+	@scripts/check-toolchain.sh
+
+run: toolchain setup ## build and start the server (ARGS='--port 9000 ..')
+	$(CARGO) run --release --locked --bin bailando -- serve $(ARGS)
+
+build: toolchain ## build both binaries, optimised, into target/release/
+	$(CARGO) build --release --locked --workspace
+
+test: setup ## format, lints, documentation, every test; closes with 'P passed, F failed, S skipped'
+	@scripts/check-toolchain.sh fmt clippy
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
+	RUSTDOCFLAGS='-D warnings' $(CARGO) doc --workspace --no-deps --locked
+	@scripts/test-summary.sh target/test.log \
+		$(CARGO) test --workspace --locked --no-fail-fast -- --show-output
+
+fmt: ## format the code
+	$(CARGO) fmt --all
+
+deny: ## check licences, sources and advisories of the dependencies (needs cargo-deny)
+	@$(CARGO) deny --version >/dev/null 2>&1 || \
+		{ echo "cargo-deny is missing: cargo install cargo-deny --locked" >&2; exit 1; }
+	$(CARGO) deny --locked check
+
+clean: ## remove build outputs and the fetched library
+	$(CARGO) clean
+	rm -rf .onnxruntime
+
+docker: ## build the container image (DOCKER=podman, IMAGE=name)
+	$(DOCKER) build -t $(IMAGE) .

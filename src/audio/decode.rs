@@ -1,0 +1,325 @@
+//! The packet loop: decode, mix to mono, cut, resample, count; nothing of a song is kept but the
+//! resampled outputs.
+
+use symphonia::core::errors::Error as SymphoniaError;
+
+use super::{
+    AudioError, AudioLimits, AudioRange, DecodedAudio, Resampler,
+    downmix::Downmix,
+    gapless::Trim,
+    limits::{SLACK_S, Watch},
+    sniff::Upload,
+    source::Packets,
+};
+
+/// What one call of the decoder is to do.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Job<'job> {
+    pub(super) range: AudioRange,
+    pub(super) rates: &'job [u32],
+    pub(super) limits: &'job AudioLimits,
+    pub(super) watch: &'job Watch<'job>,
+}
+
+/// What happened to the packets of a file.
+#[derive(Debug, Default)]
+struct Tally {
+    good: usize,
+    damaged: usize,
+    last_fault: Option<String>,
+    /// Seconds of packets that were lost before the first good one.
+    lost_in_front_s: f64,
+    chained: bool,
+}
+
+/// Decodes all packets of `upload` that the range needs.
+pub(super) fn decode_packets(
+    mut packets: Packets,
+    upload: &Upload,
+    job: &Job<'_>,
+) -> Result<DecodedAudio, AudioError> {
+    let mut decoder = packets.decoder()?;
+    let mut downmix = Downmix::default();
+    let mut tally = Tally::default();
+    let mut sink: Option<Sink<'_>> = None;
+    while let Some(packet) = packets.next(job.watch)? {
+        let seconds = packets.track.seconds(&packet);
+        match decoder.decode(&packet) {
+            Ok(buffer) => {
+                tally.good += 1;
+                let (rate, channels) = (buffer.spec().rate(), buffer.spec().channels().count());
+                if buffer.frames() == 0 {
+                    continue;
+                }
+                let sink = match &mut sink {
+                    Some(sink) => sink,
+                    none => {
+                        job.limits.check_format(rate, channels)?;
+                        let mut new = Sink::new(Trim::plan(upload, &packets.track, rate), job);
+                        new.start(rate, channels);
+                        new.silence(tally.lost_in_front_s)?;
+                        none.insert(new)
+                    }
+                };
+                sink.check_same_rate(rate, upload)?;
+                job.limits.check_format(rate, channels)?;
+                sink.take(downmix.mix(&buffer))?;
+            }
+            Err(SymphoniaError::ResetRequired) => {
+                tally.chained = true;
+                break;
+            }
+            Err(error) => {
+                tally.damaged += 1;
+                tally.last_fault = Some(error.to_string());
+                // Silence in place of the lost packet keeps the beats where they are.
+                match &mut sink {
+                    Some(sink) => sink.silence(seconds)?,
+                    None => tally.lost_in_front_s += seconds,
+                }
+            }
+        }
+        if sink.as_ref().is_some_and(Sink::is_done) {
+            break;
+        }
+    }
+    finish(sink, &packets, &tally, &downmix, job)
+}
+
+/// Judges what was decoded and puts the result together.
+fn finish(
+    sink: Option<Sink<'_>>,
+    packets: &Packets,
+    tally: &Tally,
+    downmix: &Downmix,
+    job: &Job<'_>,
+) -> Result<DecodedAudio, AudioError> {
+    let damaged = tally.damaged + packets.ending.faults;
+    if damaged > tally.good {
+        let fault = tally.last_fault.as_deref().unwrap_or("malformed stream");
+        return Err(AudioError::Malformed {
+            container: packets.container,
+            reason: format!(
+                "{damaged} of {} packets could not be decoded (the last: {fault})",
+                damaged + tally.good
+            ),
+        });
+    }
+    let Some(mut sink) = sink else {
+        if packets.ending.cut_off {
+            return Err(AudioError::Malformed {
+                container: packets.container,
+                reason: "it ends before its first audio".to_owned(),
+            });
+        }
+        return Err(AudioError::TooShort {
+            seconds: 0.0,
+            min_seconds: job.limits.min_seconds,
+        });
+    };
+    sink.end()?;
+    let mut warnings: Vec<String> = sink.trim.note().map(str::to_owned).into_iter().collect();
+    if tally.damaged > 0 {
+        let count = tally.damaged;
+        warnings.push(format!(
+            "{count} damaged packets were skipped and replaced by silence"
+        ));
+    }
+    if downmix.impossible > 0 {
+        let count = downmix.impossible;
+        warnings.push(format!(
+            "{count} samples with impossible values were replaced by silence"
+        ));
+    }
+    if tally.chained || packets.ending.chained {
+        warnings.push("only the first of several streams in the file is used".to_owned());
+    }
+    if !sink.is_done() {
+        warnings.extend(cut_short(packets, &sink));
+    }
+    sink.result(warnings)
+}
+
+/// A warning when a file holds less audio than it says.
+fn cut_short(packets: &Packets, sink: &Sink<'_>) -> Option<String> {
+    const NOTICEABLE_S: f64 = 0.1;
+    let held = sink.received as f64 / f64::from(sink.rate);
+    let declared = packets.track.frames.map(|frames| {
+        let rate = packets.track.parameters.sample_rate.unwrap_or(sink.rate);
+        frames as f64 / f64::from(rate.max(1))
+    });
+    match declared {
+        Some(declared) if declared > held + NOTICEABLE_S => Some(format!(
+            "the file is cut short: it says {declared:.1} s of audio and holds {held:.1} s"
+        )),
+        _ if packets.ending.cut_off || packets.ending.faults > 0 => Some(format!(
+            "the file is damaged or cut short after {held:.1} s of audio"
+        )),
+        _ => None,
+    }
+}
+
+/// Where decoded audio goes: cut, the wanted range, one resampler per rate.
+struct Sink<'job> {
+    job: &'job Job<'job>,
+    trim: Trim,
+    rate: u32,
+    channels: usize,
+    /// Decoded frames, with the encoder's lead-in and padding.
+    received: u64,
+    window: Window,
+    outputs: Vec<(Resampler, Vec<f32>)>,
+}
+
+/// The wanted part in frames of the upload.
+#[derive(Clone, Copy, Debug, Default)]
+struct Window {
+    first: u64,
+    end: Option<u64>,
+    /// Audible frames seen, used or not.
+    position: u64,
+}
+
+impl Window {
+    /// The part of the next `length` frames that is wanted.
+    fn advance(&mut self, length: usize) -> std::ops::Range<usize> {
+        let within = |frame: u64| {
+            usize::try_from(frame.saturating_sub(self.position))
+                .map_or(length, |frames| frames.min(length))
+        };
+        let (first, end) = (within(self.first), self.end.map_or(length, within));
+        self.position += length as u64;
+        first.min(end)..end
+    }
+
+    /// Wanted frames seen so far.
+    fn used(&self) -> u64 {
+        let end = self.end.map_or(self.position, |end| end.min(self.position));
+        end.saturating_sub(self.first)
+    }
+}
+
+impl<'job> Sink<'job> {
+    fn new(trim: Trim, job: &'job Job<'job>) -> Self {
+        Self {
+            job,
+            trim,
+            rate: 1,
+            channels: 0,
+            received: 0,
+            window: Window::default(),
+            outputs: Vec::new(),
+        }
+    }
+
+    /// Plans for the format that the first packet has.
+    fn start(&mut self, rate: u32, channels: usize) {
+        let frames = |seconds: f64| (seconds * f64::from(rate)).round() as u64;
+        let range = self.job.range;
+        self.rate = rate;
+        self.channels = channels;
+        self.window = Window {
+            first: frames(range.offset_s),
+            end: range.duration_s.map(|_| frames(range.end_s())),
+            position: 0,
+        };
+        let plan = |&to: &u32| (Resampler::new(rate, to), Vec::new());
+        self.outputs = self.job.rates.iter().map(plan).collect();
+    }
+
+    fn check_same_rate(&self, rate: u32, upload: &Upload) -> Result<(), AudioError> {
+        if rate == self.rate {
+            return Ok(());
+        }
+        Err(AudioError::Malformed {
+            container: upload.container,
+            reason: format!(
+                "its sample rate changes from {} to {rate} Hz midway",
+                self.rate
+            ),
+        })
+    }
+
+    /// Whether all that is wanted has been seen.
+    fn is_done(&self) -> bool {
+        self.window
+            .end
+            .is_some_and(|end| self.window.position >= end)
+    }
+
+    fn take(&mut self, mono: &[f32]) -> Result<(), AudioError> {
+        self.received += mono.len() as u64;
+        let decoded_s = self.received as f64 / f64::from(self.rate);
+        self.job.limits.check_length(decoded_s - SLACK_S)?;
+        let (window, outputs) = (&mut self.window, &mut self.outputs);
+        self.trim
+            .pass(mono, |heard| use_part(window, outputs, heard));
+        self.check_used_length()
+    }
+
+    /// Takes `seconds` of silence, in bounded pieces.
+    fn silence(&mut self, seconds: f64) -> Result<(), AudioError> {
+        const PIECE: [f32; 1024] = [0.0; 1024];
+        self.job.limits.check_length(seconds)?;
+        let mut frames = (seconds * f64::from(self.rate)).round() as usize;
+        while frames > 0 && !self.is_done() {
+            let piece = frames.min(PIECE.len());
+            self.take(&PIECE[..piece])?;
+            frames -= piece;
+        }
+        Ok(())
+    }
+
+    fn end(&mut self) -> Result<(), AudioError> {
+        let (window, outputs) = (&mut self.window, &mut self.outputs);
+        self.trim.finish(|heard| use_part(window, outputs, heard));
+        self.check_used_length()
+    }
+
+    /// The limit counts from the file's start, since what is skipped is decoded as well.
+    fn check_used_length(&self) -> Result<(), AudioError> {
+        let position = self.window.position;
+        let counted = self.window.end.map_or(position, |end| end.min(position));
+        let seconds = counted as f64 / f64::from(self.rate);
+        self.job.limits.check_length(seconds)
+    }
+
+    fn result(self, warnings: Vec<String>) -> Result<DecodedAudio, AudioError> {
+        let rate = f64::from(self.rate);
+        let duration_s = self.window.used() as f64 / rate;
+        if duration_s == 0.0 && self.job.range.offset_s > 0.0 {
+            return Err(AudioError::RangeOutside {
+                offset_s: self.job.range.offset_s,
+                length_s: self.window.position as f64 / rate,
+            });
+        }
+        if duration_s < self.job.limits.min_seconds {
+            return Err(AudioError::TooShort {
+                seconds: duration_s,
+                min_seconds: self.job.limits.min_seconds,
+            });
+        }
+        let finish = |(resampler, mut signal): (Resampler, Vec<f32>)| {
+            resampler.finish(&mut signal);
+            signal
+        };
+        Ok(DecodedAudio {
+            signals: self.outputs.into_iter().map(finish).collect(),
+            duration_s,
+            sample_rate: self.rate,
+            channels: self.channels,
+            warnings,
+        })
+    }
+}
+
+/// Resamples the wanted part of what is heard.
+fn use_part(window: &mut Window, outputs: &mut [(Resampler, Vec<f32>)], heard: &[f32]) {
+    let wanted = &heard[window.advance(heard.len())];
+    if wanted.is_empty() {
+        return;
+    }
+    for (resampler, signal) in outputs {
+        resampler.process(wanted, signal);
+    }
+}

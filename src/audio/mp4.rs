@@ -1,0 +1,120 @@
+//! How much of an M4A's decoded audio is the encoder's own lead-in and padding. Symphonia does not
+//! apply edit lists, so the few boxes that say so are read here: a bounded walk over the box tree,
+//! no allocation, nothing trusted.
+
+/// Boxes looked at among the children of one box.
+const MAX_CHILDREN: usize = 1024;
+
+/// The audible part of an audio track, each in units of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Audible {
+    /// Seconds of lead-in that are not to be heard.
+    pub(super) start_s: f64,
+    /// Seconds to be heard behind it; absent: to the end.
+    pub(super) length_s: Option<f64>,
+}
+
+/// The audible part of the track `track_id`, from iTunes' own tag or else from the edit list.
+/// `rate` is the track's sample rate in Hz. `None`: the file does not say.
+pub(super) fn audible(file: &[u8], track_id: u32, rate: u32) -> Option<Audible> {
+    let movie = child(file, b"moov")?;
+    itunes_gapless(movie, rate).or_else(|| edit_list(movie, track_id))
+}
+
+/// Children of a box as (type, payload); stops at the first one that does not fit.
+fn children(mut bytes: &[u8]) -> impl Iterator<Item = ([u8; 4], &[u8])> {
+    std::iter::from_fn(move || {
+        let size = u32_be(bytes, 0)?;
+        let kind = *bytes.get(4..)?.first_chunk()?;
+        let (header, size) = match size {
+            0 => (8, bytes.len()),
+            1 => (16, usize::try_from(u64_be(bytes, 8)?).ok()?),
+            size => (8, size as usize),
+        };
+        let payload = bytes.get(header..size)?;
+        bytes = &bytes[size..];
+        Some((kind, payload))
+    })
+    .take(MAX_CHILDREN)
+}
+
+fn child<'bytes>(bytes: &'bytes [u8], wanted: &[u8; 4]) -> Option<&'bytes [u8]> {
+    children(bytes)
+        .find(|(kind, _)| kind == wanted)
+        .map(|(_, payload)| payload)
+}
+
+/// ` 00000000 <delay> <padding> <frames> ..` in hexadecimal, written by iTunes and Core Audio.
+fn itunes_gapless(movie: &[u8], rate: u32) -> Option<Audible> {
+    let meta = child(child(movie, b"udta")?, b"meta")?;
+    // `meta` starts with version and flags; `data` with a type and a locale.
+    let list = child(meta.get(4..)?, b"ilst")?;
+    let text = children(list)
+        .filter(|(kind, _)| kind == b"----")
+        .find(|(_, item)| child(item, b"name").and_then(|name| name.get(4..)) == Some(b"iTunSMPB"))
+        .and_then(|(_, item)| child(item, b"data")?.get(8..))?;
+    let mut numbers = std::str::from_utf8(text)
+        .ok()?
+        .split_ascii_whitespace()
+        .skip(1)
+        .map(|number| u64::from_str_radix(number, 16).ok());
+    let (delay, _padding, frames) = (numbers.next()??, numbers.next()??, numbers.next()??);
+    if rate == 0 || frames == 0 {
+        return None;
+    }
+    Some(Audible {
+        start_s: delay as f64 / f64::from(rate),
+        length_s: Some(frames as f64 / f64::from(rate)),
+    })
+}
+
+/// The first edit that shows media. With several such edits only the lead-in is applied.
+fn edit_list(movie: &[u8], track_id: u32) -> Option<Audible> {
+    let movie_scale = timescale(child(movie, b"mvhd")?)?;
+    let track = children(movie)
+        .filter(|(kind, _)| kind == b"trak")
+        .map(|(_, track)| track)
+        .find(|track| child(track, b"tkhd").and_then(track_number) == Some(track_id))?;
+    let media_scale = timescale(child(child(track, b"mdia")?, b"mdhd")?)?;
+    let list = child(child(track, b"edts")?, b"elst")?;
+    let long = *list.first()? == 1;
+    let entries = list.get(8..)?.chunks_exact(if long { 20 } else { 12 });
+    let mut shown = entries
+        .take(MAX_CHILDREN.min(u32_be(list, 4)? as usize))
+        .filter_map(|entry| {
+            let (duration, start) = if long {
+                (u64_be(entry, 0)?, u64_be(entry, 8)?.cast_signed())
+            } else {
+                let start = u32_be(entry, 4)?.cast_signed();
+                (u64::from(u32_be(entry, 0)?), i64::from(start))
+            };
+            // A start of -1 is an empty edit: it shows nothing for a while.
+            u64::try_from(start).ok().map(|start| (duration, start))
+        });
+    let (duration, start) = shown.next()?;
+    // A duration of 0 is what fragmented files write for "to the end".
+    let whole = duration > 0 && shown.next().is_none();
+    Some(Audible {
+        start_s: start as f64 / media_scale,
+        length_s: whole.then_some(duration as f64 / movie_scale),
+    })
+}
+
+/// Ticks a second of a `mvhd` or `mdhd` box.
+fn timescale(header: &[u8]) -> Option<f64> {
+    let scale = u32_be(header, if *header.first()? == 1 { 20 } else { 12 })?;
+    (scale > 0).then_some(f64::from(scale))
+}
+
+/// The track's id in a `tkhd` box.
+fn track_number(header: &[u8]) -> Option<u32> {
+    u32_be(header, if *header.first()? == 1 { 20 } else { 12 })
+}
+
+fn u32_be(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_be_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+
+fn u64_be(bytes: &[u8], at: usize) -> Option<u64> {
+    Some(u64::from_be_bytes(*bytes.get(at..)?.first_chunk()?))
+}

@@ -1,0 +1,289 @@
+//! `bailando generate`: the server's work without HTTP.
+
+use std::{
+    fs,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Instant,
+};
+
+use anyhow::Context;
+use bailando::{
+    CancelToken,
+    audio::{AudioLimits, AudioRange},
+    engine::{Choreographer, EngineConfig, GenerationOptions},
+    format::{Codes, Dance},
+    model::WindowKind,
+    motion,
+};
+use clap::{ArgAction, ValueEnum};
+use ndarray::Array2;
+
+use super::{
+    Usage,
+    inputs::audio_files,
+    output::{FileFormat, OutputArgs, write_positions},
+    progress::Bar,
+    say, say_error,
+};
+
+/// Make dances from audio files, or codes and positions from feature rows
+#[derive(Debug, clap::Args)]
+pub(super) struct GenerateArgs {
+    /// Songs (wav, flac, mp3, ogg/vorbis, m4a/aac) or folders of them
+    #[arg(required_unless_present = "features", conflicts_with = "features")]
+    audio: Vec<PathBuf>,
+    #[command(flatten)]
+    output: OutputArgs,
+    /// Model directory
+    #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
+    model_dir: PathBuf,
+    /// Threads that compute one step of the model [default: all cores]
+    #[arg(long, env = "BAILANDO_THREADS")]
+    threads: Option<NonZeroUsize>,
+    #[command(flatten)]
+    sampling: SamplingArgs,
+    #[command(flatten)]
+    song: SongArgs,
+    #[command(flatten)]
+    rows: RowsArgs,
+}
+
+/// How the dance is chosen; what is absent is the model's own default.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Sampling")]
+struct SamplingArgs {
+    /// The same seed and song give the same dance; drawn if absent
+    #[arg(long)]
+    seed: Option<u64>,
+    /// 0 takes the most likely code, as in the paper; higher is freer
+    #[arg(long)]
+    temperature: Option<f32>,
+    /// Draw from this many most likely codes only
+    #[arg(long)]
+    top_k: Option<usize>,
+    /// First pose code of the upper body
+    #[arg(long)]
+    start_upper: Option<u32>,
+    /// First pose code of the lower body
+    #[arg(long)]
+    start_lower: Option<u32>,
+    /// How the window of past codes moves: hop is fast, sliding is what the paper's code does
+    #[arg(long, value_enum)]
+    window: Option<WindowArg>,
+    /// Codes kept when a hop window shrinks
+    #[arg(long)]
+    hop: Option<usize>,
+}
+
+/// What is made of the song.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Song and motion")]
+struct SongArgs {
+    /// Where in the song to begin, in seconds
+    #[arg(long, default_value_t = 0.0)]
+    offset_s: f64,
+    /// How much of the song to use, in seconds
+    #[arg(long)]
+    duration_s: Option<f64>,
+    /// Frames per second: 20, 24, 30 or 60
+    #[arg(long, default_value_t = 60)]
+    fps: u32,
+    /// Whether the dancer travels; false keeps it in place
+    #[arg(long, default_value_t = true, action = ArgAction::Set, value_name = "BOOL")]
+    root_motion: bool,
+    /// Find the music's tempo and beats [default: true for JSON]
+    #[arg(long, action = ArgAction::Set, value_name = "BOOL")]
+    music: Option<bool>,
+    /// Longest song in seconds
+    #[arg(long, env = "BAILANDO_MAX_AUDIO_SECONDS", default_value_t = AudioLimits::default().max_seconds)]
+    max_audio_seconds: f64,
+}
+
+/// From feature rows instead of audio.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Feature rows instead of audio")]
+struct RowsArgs {
+    /// Feature rows, float32 [rows, 438], as `bailando features` writes them
+    #[arg(long, value_name = "F.npy")]
+    features: Option<PathBuf>,
+    /// Where the pose codes go: int64 [2, codes], upper then lower
+    #[arg(long, value_name = "C.npy", requires = "features")]
+    codes_out: Option<PathBuf>,
+    /// Where the joint positions go: float32 [8 codes, 24, 3], metres, root beginning at 0
+    #[arg(long, value_name = "P.npy", requires = "features")]
+    positions_out: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum WindowArg {
+    Hop,
+    Sliding,
+}
+
+pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<()> {
+    match &args.rows.features {
+        Some(features) => from_rows(args, features),
+        None => from_audio(args),
+    }
+}
+
+impl GenerateArgs {
+    fn open(&self, queue: usize) -> anyhow::Result<Choreographer> {
+        let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        Ok(Choreographer::open(&EngineConfig {
+            model_dir: self.model_dir.clone(),
+            threads: self.threads.map_or_else(cores, NonZeroUsize::get),
+            queue,
+            audio: AudioLimits {
+                max_seconds: self.song.max_audio_seconds,
+                ..AudioLimits::default()
+            },
+        })?)
+    }
+
+    fn options(&self, music: bool) -> GenerationOptions {
+        let SamplingArgs {
+            seed,
+            temperature,
+            top_k,
+            start_upper,
+            start_lower,
+            window,
+            hop,
+        } = self.sampling;
+        GenerationOptions {
+            seed,
+            temperature,
+            top_k,
+            start_upper,
+            start_lower,
+            window: window.map(|window| match window {
+                WindowArg::Hop => WindowKind::Hop,
+                WindowArg::Sliding => WindowKind::Sliding,
+            }),
+            hop,
+            range: AudioRange {
+                offset_s: self.song.offset_s,
+                duration_s: self.song.duration_s,
+            },
+            fps: self.song.fps,
+            root_motion: self.song.root_motion,
+            music: self.song.music.unwrap_or(music),
+        }
+    }
+}
+
+/// Every song is tried; the command fails at the end when one did not work.
+fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
+    let inputs = audio_files(&args.audio)?;
+    let targets = args.output.targets(&inputs)?;
+    let choreographer = args.open(1)?;
+    choreographer
+        .check(&args.options(false))
+        .map_err(bailando::Error::from)?;
+    let mut first_failure = None;
+    let mut failures = 0;
+    for (input, (target, format)) in inputs.iter().zip(&targets) {
+        if let Err(error) = one_song(args, &choreographer, input, target, *format) {
+            let error = error.context(input.display().to_string());
+            failures += 1;
+            match inputs.len() {
+                1 => return Err(error),
+                _ => say_error(&format!("error: {error:#}")),
+            }
+            first_failure.get_or_insert(error);
+        }
+    }
+    match first_failure {
+        None => Ok(()),
+        Some(_) => anyhow::bail!(
+            "{failures} of {} songs could not be danced to",
+            inputs.len()
+        ),
+    }
+}
+
+fn one_song(
+    args: &GenerateArgs,
+    choreographer: &Choreographer,
+    input: &Path,
+    target: &Path,
+    format: FileFormat,
+) -> anyhow::Result<()> {
+    let started = Instant::now();
+    let audio = fs::read(input)?;
+    let options = args.options(format == FileFormat::Json);
+    let bar = Arc::new(Bar::new(&input.display().to_string()));
+    let dance = choreographer.generate_with_progress(
+        audio.into(),
+        &options,
+        &CancelToken::new(),
+        Arc::clone(&bar) as _,
+    )?;
+    drop(bar);
+    args.output.write(&dance, target, format)?;
+    report(&dance, target, started);
+    Ok(())
+}
+
+fn report(dance: &Dance, target: &Path, started: Instant) {
+    for warning in &dance.warnings {
+        say_error(&format!("warning: {warning}"));
+    }
+    say(&format!(
+        "{}: {} frames at {} fps, seed {}, in {:.2} s",
+        target.display(),
+        dance.animation.root.len(),
+        dance.animation.fps,
+        dance.seed,
+        started.elapsed().as_secs_f64()
+    ));
+}
+
+fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
+    let RowsArgs {
+        codes_out,
+        positions_out,
+        ..
+    } = &args.rows;
+    if codes_out.is_none() && positions_out.is_none() {
+        return Err(Usage("say what to write: --codes-out or --positions-out".into()).into());
+    }
+    let rows: Array2<f32> = ndarray_npy::read_npy(features)
+        .with_context(|| format!("{}: not float32 rows of 438 columns", features.display()))?;
+    let choreographer = args.open(1)?;
+    let raw = choreographer.dance_to_rows(
+        rows,
+        &args.options(false),
+        &CancelToken::new(),
+        Arc::new(Bar::new(&features.display().to_string())),
+    )?;
+    if let Some(path) = codes_out {
+        ndarray_npy::write_npy(path, &codes_array(&raw.codes))
+            .with_context(|| path.display().to_string())?;
+    }
+    if let Some(path) = positions_out {
+        let positions =
+            motion::integrate_root(raw.motion.view(), [0.0; 3]).map_err(bailando::Error::from)?;
+        write_positions(path, &positions)?;
+    }
+    say(&format!(
+        "{} code pairs, seed {}",
+        raw.codes.upper.len(),
+        raw.seed
+    ));
+    Ok(())
+}
+
+/// Codes as int64 [2, codes], upper then lower.
+fn codes_array(codes: &Codes) -> Array2<i64> {
+    let halves = [&codes.upper, &codes.lower];
+    Array2::from_shape_fn((2, codes.upper.len()), |(half, index)| {
+        halves
+            .get(half)
+            .and_then(|half| half.get(index))
+            .map_or(0, |&code| i64::from(code))
+    })
+}

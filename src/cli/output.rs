@@ -1,0 +1,157 @@
+//! Where dances go, and in which format.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context;
+use bailando::{
+    format::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
+    motion::Positions,
+};
+use clap::ValueEnum;
+
+use super::Usage;
+
+/// How results are written.
+#[derive(Debug, clap::Args)]
+pub(super) struct OutputArgs {
+    /// The file to write; its extension is the format: json, bvh or npy (positions alone)
+    #[arg(
+        short,
+        long,
+        value_name = "OUT.{json,bvh,npy}",
+        conflicts_with = "out_dir"
+    )]
+    output: Option<PathBuf>,
+    /// Folder for the results of several songs, each named after its song
+    #[arg(long, value_name = "DIR")]
+    out_dir: Option<PathBuf>,
+    /// Format of the files in --out-dir
+    #[arg(long, value_enum, default_value = "bvh", requires = "out_dir")]
+    format: FileFormat,
+    /// Add local rotations and the root's path to JSON
+    #[arg(long)]
+    include_rotations: bool,
+    /// How JSON holds positions: json for nested arrays, base64 for packed little-endian float32
+    #[arg(long, value_enum, default_value = "json")]
+    encoding: EncodingArg,
+    /// Unit of length in BVH
+    #[arg(long, value_enum, default_value = "cm")]
+    bvh_unit: UnitArg,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum FileFormat {
+    Json,
+    Bvh,
+    Npy,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum EncodingArg {
+    Json,
+    Base64,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum UnitArg {
+    Cm,
+    M,
+}
+
+impl FileFormat {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Json => "json",
+            Self::Bvh => "bvh",
+            Self::Npy => "npy",
+        }
+    }
+
+    fn of(path: &Path) -> Result<Self, Usage> {
+        let extension = path
+            .extension()
+            .and_then(|e| e.to_str())
+            .map(str::to_ascii_lowercase);
+        [Self::Json, Self::Bvh, Self::Npy]
+            .into_iter()
+            .find(|format| extension.as_deref() == Some(format.extension()))
+            .ok_or_else(|| {
+                let path = path.display();
+                Usage(format!(
+                    "{path}: the extension chooses the format: json, bvh or npy"
+                ))
+            })
+    }
+}
+
+impl OutputArgs {
+    /// One output per input, before any work is done.
+    pub(super) fn targets(&self, inputs: &[PathBuf]) -> anyhow::Result<Vec<(PathBuf, FileFormat)>> {
+        match (&self.output, &self.out_dir, inputs) {
+            (Some(output), None, [_]) => Ok(vec![(output.clone(), FileFormat::of(output)?)]),
+            (Some(_), None, _) => {
+                Err(Usage("several songs need --out-dir instead of --output".into()).into())
+            }
+            (_, Some(folder), _) => self.targets_in(folder, inputs),
+            (None, None, _) => {
+                Err(Usage("say where the dance goes: --output FILE or --out-dir DIR".into()).into())
+            }
+        }
+    }
+
+    fn targets_in(
+        &self,
+        folder: &Path,
+        inputs: &[PathBuf],
+    ) -> anyhow::Result<Vec<(PathBuf, FileFormat)>> {
+        fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        let mut targets: Vec<(PathBuf, FileFormat)> = Vec::new();
+        for input in inputs {
+            let stem = input.file_stem().unwrap_or_default();
+            let target = folder.join(stem).with_extension(self.format.extension());
+            if targets.iter().any(|(other, _)| *other == target) {
+                let name = target.display();
+                return Err(Usage(format!("two songs would be written to {name}")).into());
+            }
+            targets.push((target, self.format));
+        }
+        Ok(targets)
+    }
+
+    /// Writes `dance` to `path`.
+    pub(super) fn write(
+        &self,
+        dance: &Dance,
+        path: &Path,
+        format: FileFormat,
+    ) -> anyhow::Result<()> {
+        let format = match format {
+            FileFormat::Npy => return write_positions(path, &dance.positions),
+            FileFormat::Json => OutputFormat::Json,
+            FileFormat::Bvh => OutputFormat::Bvh,
+        };
+        let json = JsonOptions {
+            rotations: self.include_rotations,
+            encoding: match self.encoding {
+                EncodingArg::Json => Encoding::Json,
+                EncodingArg::Base64 => Encoding::Base64,
+            },
+        };
+        let unit = match self.bvh_unit {
+            UnitArg::Cm => BvhUnit::Centimetre,
+            UnitArg::M => BvhUnit::Metre,
+        };
+        let bytes = format
+            .write(dance, &json, unit)
+            .map_err(bailando::Error::from)?;
+        fs::write(path, bytes).with_context(|| path.display().to_string())
+    }
+}
+
+/// Writes positions as float32 [frames, joints, 3].
+pub(super) fn write_positions(path: &Path, positions: &Positions) -> anyhow::Result<()> {
+    ndarray_npy::write_npy(path, positions).with_context(|| path.display().to_string())
+}

@@ -1,0 +1,274 @@
+//! Harmonic and percussive part by median filtering (FEATURES section 4).
+//!
+//! One pass over the song: only the frames under the median along time are held.
+
+use rustfft::num_complex::Complex;
+
+use super::{
+    HOP,
+    istft::{FrameOf, OverlapAdd},
+    median::{SlidingMedian, WINDOW},
+    padding::{Padding, mirror_between_samples},
+    row_count,
+    stft::{BINS, Stft, magnitudes},
+};
+
+const HALF_WINDOW: usize = WINDOW / 2;
+// The window of one frame and the frame that has just left it.
+const HELD_FRAMES: usize = WINDOW + 1;
+
+/// Splits a signal; both parts add up to it.
+pub(super) struct Separator {
+    stft: Stft,
+    silent_tail: bool,
+    held_spectra: Vec<Complex<f32>>,
+    held_magnitudes: Vec<f32>,
+    along_time: Vec<SlidingMedian>,
+    along_frequency: SlidingMedian,
+    percussive_median: Vec<f32>,
+    masked: Vec<Complex<f32>>,
+    harmonic: OverlapAdd,
+    percussive: OverlapAdd,
+}
+
+/// The two parts, as long as the signal.
+#[derive(Debug)]
+pub(super) struct Split {
+    /// Empty when it was not asked for.
+    pub(super) harmonic: Vec<f32>,
+    pub(super) percussive: Vec<f32>,
+}
+
+/// Which parts to rebuild.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Parts {
+    Both,
+    Percussive,
+}
+
+impl Separator {
+    /// `silent_tail`: samples behind the middle of the last frame are zero (FEATURES section 11.3).
+    pub(super) fn new(padding: Padding, silent_tail: bool) -> Self {
+        Self {
+            stft: Stft::hann(padding),
+            silent_tail,
+            held_spectra: vec![Complex::default(); HELD_FRAMES * BINS],
+            held_magnitudes: vec![0.0; HELD_FRAMES * BINS],
+            along_time: vec![SlidingMedian::new(); BINS],
+            along_frequency: SlidingMedian::new(),
+            percussive_median: vec![0.0; BINS],
+            masked: vec![Complex::default(); BINS],
+            harmonic: OverlapAdd::new(),
+            percussive: OverlapAdd::new(),
+        }
+    }
+
+    /// Splits `pcm`, and shows the magnitudes of each of its frames, in order, to `on_magnitudes`.
+    pub(super) fn split(
+        &mut self,
+        pcm: &[f32],
+        parts: Parts,
+        mut on_magnitudes: impl FnMut(usize, &[f32]),
+    ) -> Split {
+        let count = row_count(pcm.len());
+        let mut split = Split {
+            harmonic: match parts {
+                Parts::Both => vec![0.0; pcm.len()],
+                Parts::Percussive => Vec::new(),
+            },
+            percussive: vec![0.0; pcm.len()],
+        };
+        let mut analysed = 0;
+        for index in 0..count {
+            while analysed < count.min(index + HALF_WINDOW + 1) {
+                self.analyse(pcm, analysed);
+                on_magnitudes(analysed, self.magnitudes_of(analysed));
+                analysed += 1;
+            }
+            self.slide_along_time(index, count);
+            self.slide_along_frequency(index);
+            let frame = FrameOf { index, count };
+            if parts == Parts::Both {
+                self.mask(index, |harmonic, percussive| {
+                    soft_mask(harmonic, percussive)
+                });
+                self.harmonic.push(&self.masked, frame, &mut split.harmonic);
+            }
+            self.mask(index, |harmonic, percussive| {
+                soft_mask(percussive, harmonic)
+            });
+            self.percussive
+                .push(&self.masked, frame, &mut split.percussive);
+        }
+        if self.silent_tail {
+            for part in [&mut split.harmonic, &mut split.percussive] {
+                if let Some(tail) = part.get_mut(HOP * (count - 1)..) {
+                    tail.fill(0.0);
+                }
+            }
+        }
+        split
+    }
+
+    fn analyse(&mut self, pcm: &[f32], frame: usize) {
+        let held = held_range(frame);
+        let spectrum = &mut self.held_spectra[held.clone()];
+        self.stft.frame(pcm, frame * HOP, spectrum);
+        magnitudes(spectrum, &mut self.held_magnitudes[held]);
+    }
+
+    fn magnitudes_of(&self, frame: usize) -> &[f32] {
+        &self.held_magnitudes[held_range(frame)]
+    }
+
+    fn slide_along_time(&mut self, frame: usize, frames: usize) {
+        let held = |index: isize| held_range(mirror_between_samples(index, frames)).start;
+        let (frame, half) = (frame as isize, HALF_WINDOW as isize);
+        if frame == 0 {
+            for (bin, window) in self.along_time.iter_mut().enumerate() {
+                window.fill((-half..=half).map(|index| self.held_magnitudes[held(index) + bin]));
+            }
+            return;
+        }
+        let (leaving, entering) = (held(frame - half - 1), held(frame + half));
+        for (bin, window) in self.along_time.iter_mut().enumerate() {
+            window.exchange(
+                self.held_magnitudes[leaving + bin],
+                self.held_magnitudes[entering + bin],
+            );
+        }
+    }
+
+    fn slide_along_frequency(&mut self, frame: usize) {
+        let row = &self.held_magnitudes[held_range(frame)];
+        let at = |index: isize| row[mirror_between_samples(index, BINS)];
+        let half = HALF_WINDOW as isize;
+        self.along_frequency.fill((-half..=half).map(at));
+        for (bin, median) in (0_isize..).zip(&mut self.percussive_median) {
+            if bin > 0 {
+                self.along_frequency
+                    .exchange(at(bin - half - 1), at(bin + half));
+            }
+            *median = self.along_frequency.median();
+        }
+    }
+
+    fn mask(&mut self, frame: usize, mask: impl Fn(f32, f32) -> f32) {
+        let spectrum = &self.held_spectra[held_range(frame)];
+        for (((masked, &bin), along_time), &percussive) in self
+            .masked
+            .iter_mut()
+            .zip(spectrum)
+            .zip(&self.along_time)
+            .zip(&self.percussive_median)
+        {
+            *masked = bin * mask(along_time.median(), percussive);
+        }
+    }
+}
+
+/// Where the frame lies in the ring of held frames.
+fn held_range(frame: usize) -> std::ops::Range<usize> {
+    let start = (frame % HELD_FRAMES) * BINS;
+    start..start + BINS
+}
+
+/// Share of `part` against `other`, by power; half each where there is nothing.
+fn soft_mask(part: f32, other: f32) -> f32 {
+    let larger = part.max(other);
+    if larger < f32::MIN_POSITIVE {
+        return 0.5;
+    }
+    let (part, other) = (part / larger, other / larger);
+    let (part, other) = (part * part, other * other);
+    part / (part + other)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(samples: usize) -> Vec<f32> {
+        let mut state = 7_u32;
+        (0..samples)
+            .map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 8) as f32 / 8_388_608.0 - 1.0
+            })
+            .collect()
+    }
+
+    #[test]
+    fn masks_share_by_power() {
+        assert_eq!(soft_mask(0.0, 0.0), 0.5);
+        assert_eq!(soft_mask(3.0, 0.0), 1.0);
+        assert!((soft_mask(1.0, 2.0) - 0.2).abs() < 1e-7);
+    }
+
+    #[test]
+    fn the_parts_add_up_to_the_signal() {
+        // Shorter than, about as long as, and longer than the median's window.
+        for samples in [1_100, 15_000, 40_000] {
+            let pcm = noise(samples);
+            let mut separator = Separator::new(Padding::Zeros, false);
+            let split = separator.split(&pcm, Parts::Both, |_, _| {});
+            for ((h, p), x) in split.harmonic.iter().zip(&split.percussive).zip(&pcm) {
+                assert!((h + p - x).abs() < 5e-6);
+            }
+            let alone = separator.split(&pcm, Parts::Percussive, |_, _| {});
+            assert_eq!(alone.percussive, split.percussive);
+            assert!(alone.harmonic.is_empty());
+        }
+    }
+
+    #[test]
+    fn both_medians_equal_sorting_at_every_cell() {
+        for samples in [1_100, 9_000, 24_000] {
+            let pcm = noise(samples);
+            let frames = row_count(samples);
+            let mut separator = Separator::new(Padding::Zeros, false);
+            let mut rows = Vec::new();
+            separator.split(&pcm, Parts::Percussive, |_, row| rows.push(row.to_vec()));
+            assert_eq!(rows.len(), frames);
+            let sorted_median = |mut values: Vec<f32>| {
+                values.sort_by(f32::total_cmp);
+                values[HALF_WINDOW]
+            };
+            let mut analysed = 0;
+            for frame in 0..frames {
+                while analysed < frames.min(frame + HALF_WINDOW + 1) {
+                    separator.analyse(&pcm, analysed);
+                    analysed += 1;
+                }
+                separator.slide_along_time(frame, frames);
+                separator.slide_along_frequency(frame);
+                for bin in [0_usize, 1, 14, 15, 500, 1_010, 1_023, 1_024] {
+                    let window = -15_isize..=15;
+                    let along_time = window
+                        .clone()
+                        .map(|d| rows[mirror_between_samples(frame as isize + d, frames)][bin])
+                        .collect();
+                    assert_eq!(
+                        separator.along_time[bin].median(),
+                        sorted_median(along_time)
+                    );
+                    let along_frequency = window
+                        .map(|d| rows[frame][mirror_between_samples(bin as isize + d, BINS)])
+                        .collect();
+                    assert_eq!(
+                        separator.percussive_median[bin],
+                        sorted_median(along_frequency)
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_older_profile_ends_in_zeros() {
+        let pcm = noise(5_000);
+        let split = Separator::new(Padding::Reflect, true).split(&pcm, Parts::Both, |_, _| {});
+        assert!(split.harmonic[4_608..].iter().all(|&x| x == 0.0));
+        assert!(split.harmonic[4_600..4_608].iter().any(|&x| x != 0.0));
+    }
+}

@@ -1,0 +1,139 @@
+//! Official PyTorch checkpoints (ARCHITECTURE section 4), read without executing anything.
+//!
+//! Both containers are understood: the zip archive, and the older file of concatenated pickles
+//! and raw storages. Sizes that a file declares are compared with the bytes that are there before
+//! anything is allocated, and tensors are decoded one at a time when asked for, so the memory
+//! needed is bounded by the size of the file.
+
+mod container;
+mod error;
+mod legacy;
+mod pickle;
+mod view;
+mod zipped;
+
+pub use error::{CheckpointError, Problem};
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use crate::tensor::Tensor;
+use container::Container;
+use pickle::{Arena, Id, Object, Pickled, TensorView};
+
+/// What distributed training puts in front of every name.
+const MODULE_PREFIX: &str = "module.";
+
+/// An opened checkpoint: its tensors by name, without the `module.` prefix.
+#[derive(Debug)]
+pub struct Checkpoint {
+    path: PathBuf,
+    container: Container,
+    views: BTreeMap<String, TensorView>,
+}
+
+impl Checkpoint {
+    /// Opens the checkpoint at `path`.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Read`] or [`CheckpointError::Malformed`].
+    pub fn open(path: &Path) -> Result<Self, CheckpointError> {
+        let bytes = std::fs::read(path).map_err(|source| CheckpointError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::from_bytes(path, bytes)
+    }
+
+    /// Opens a checkpoint in memory; `path` is what errors call it.
+    ///
+    /// # Errors
+    /// [`CheckpointError::Malformed`].
+    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, CheckpointError> {
+        let opened = Container::open(bytes).and_then(|(container, pickled)| {
+            let views = tensor_views(&pickled)?;
+            Ok((container, views))
+        });
+        let (container, views) = opened.map_err(|problem| CheckpointError::Malformed {
+            path: path.to_owned(),
+            problem,
+        })?;
+        Ok(Self {
+            path: path.to_owned(),
+            container,
+            views,
+        })
+    }
+
+    /// The file's path, for messages.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Names of all tensors, ascending.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.views.keys().map(String::as_str)
+    }
+
+    /// Whether a tensor of this name is there.
+    #[must_use]
+    pub fn contains(&self, name: &str) -> bool {
+        self.views.contains_key(name)
+    }
+
+    /// Decodes one tensor to float32.
+    ///
+    /// # Errors
+    /// [`CheckpointError::MissingTensor`], or [`CheckpointError::Tensor`] when its values cannot
+    /// be read.
+    pub fn tensor(&mut self, name: &str) -> Result<Tensor, CheckpointError> {
+        let Some(view) = self.views.get(name) else {
+            return Err(CheckpointError::MissingTensor {
+                path: self.path.clone(),
+                tensor: name.to_owned(),
+            });
+        };
+        let decoded = view::check(view)
+            .and_then(|()| self.container.storage(&view.storage))
+            .and_then(|bytes| view::decode(view, &bytes));
+        decoded.map_err(|problem| CheckpointError::Tensor {
+            path: self.path.clone(),
+            tensor: name.to_owned(),
+            problem,
+        })
+    }
+}
+
+/// The tensors of `{'model': state_dict, ..}`, or of a bare state dictionary.
+fn tensor_views(pickled: &Pickled) -> Result<BTreeMap<String, TensorView>, Problem> {
+    let arena = &pickled.arena;
+    let state = arena.lookup(pickled.root, "model").unwrap_or(pickled.root);
+    let entries = arena.entries(state).ok_or(Problem::NoTensors)?;
+    let mut views = BTreeMap::new();
+    for &(key, value) in entries {
+        let Some((name, view)) = named_view(arena, key, value) else {
+            continue;
+        };
+        let name = name.strip_prefix(MODULE_PREFIX).unwrap_or(name);
+        if views.insert(name.to_owned(), view.clone()).is_some() {
+            return Err(Problem::Duplicate(name.to_owned()));
+        }
+    }
+    if views.is_empty() {
+        return Err(Problem::NoTensors);
+    }
+    Ok(views)
+}
+
+fn named_view(arena: &Arena, key: Id, value: Id) -> Option<(&str, &TensorView)> {
+    match arena.get(value)? {
+        Object::Tensor(view) => Some((arena.text(key)?, view)),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests;

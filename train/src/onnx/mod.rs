@@ -1,0 +1,30 @@
+//! The three graphs of a model directory, written as ONNX from the weights alone.
+//!
+//! Shapes are named and dynamic; weights are stored as float32, or as float16 that is widened when
+//! the graph is loaded. Computation is always in float32.
+
+mod builder;
+mod decoder;
+mod encoder;
+mod gpt;
+mod proto;
+mod receptive;
+
+pub use decoder::decoder_graph;
+pub use encoder::encoder_graph;
+pub use gpt::gpt_graph;
+pub use receptive::receptive_codes;
+
+/// Why a graph could not be written.
+#[derive(Debug, thiserror::Error, PartialEq)]
+#[non_exhaustive]
+pub enum GraphError {
+    /// A weight is too large for half precision.
+    #[error("weight `{weight}` holds {value}, beyond the range of float16: use --weights f32")]
+    HalfRange {
+        /// The weight's name in the graph.
+        weight: String,
+        /// The value.
+        value: f32,
+    },
+}
