@@ -205,10 +205,10 @@ pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response
             .canonical_reason()
             .unwrap_or("the request cannot be answered")
             .to_lowercase(),
-        error_type: if parts.status.is_server_error() {
-            "internal"
-        } else {
-            "invalid_request"
+        error_type: match parts.status {
+            StatusCode::NOT_FOUND => "not_found",
+            status if status.is_server_error() => "internal",
+            _ => "invalid_request",
         },
     });
     let body = serde_json::json!(ErrorBody {

@@ -1,8 +1,6 @@
 //! The HTTP service, in process: through the router, and through a socket where it matters.
 
 mod client;
-#[path = "../common/mod.rs"]
-mod common;
 mod fake;
 mod generate;
 mod lifecycle;
