@@ -2,6 +2,13 @@
 //! forward kinematics within a millimetre. Skipped, with one line, where Python or the package
 //! can't be had.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test says what is wrong by failing"
+)]
+
 #[allow(unreachable_pub, reason = "shared by every test binary")]
 mod common;
 mod motion_support;

@@ -1,5 +1,11 @@
 //! Dances as files: what is in them, and whether it can be read back.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    reason = "a test says what is wrong by failing"
+)]
+
 mod motion_support;
 
 use bailando::{

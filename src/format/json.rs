@@ -66,6 +66,7 @@ pub struct DanceJson<'a> {
     codes: CodesJson<'a>,
     /// Absent unless asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     music: Option<MusicJson<'a>>,
     timings_ms: TimingsJson,
     /// What was trimmed, truncated or assumed, in plain words.
@@ -78,12 +79,12 @@ pub struct DanceJson<'a> {
     positions: Numbers<'a>,
     /// Local unit quaternions, `[frames][joints][x y z w]`; only with `include=rotations`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<PoseNumbers>)]
+    #[schema(value_type = Option<PoseNumbers>, nullable = false)]
     rotations: Option<Numbers<'a>>,
     /// World position of the root joint in metres, `[frames][x y z]`; only with
     /// `include=rotations`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<RootNumbers>)]
+    #[schema(value_type = Option<RootNumbers>, nullable = false)]
     root: Option<Numbers<'a>>,
 }
 
@@ -235,5 +236,71 @@ impl From<PositionsSource> for SourceJson {
             PositionsSource::Decoder => Self::Decoder,
             PositionsSource::ForwardKinematics => Self::ForwardKinematics,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{Quat, Vec3};
+    use serde_json::Value;
+    use utoipa::OpenApi;
+
+    use super::*;
+    use crate::{format::Codes, motion::Animation};
+
+    #[derive(OpenApi)]
+    #[openapi(components(schemas(DanceJson<'_>)))]
+    struct Document;
+
+    fn keys(object: &Value) -> Vec<&String> {
+        let mut keys: Vec<&String> = object.as_object().unwrap().keys().collect();
+        keys.sort();
+        keys
+    }
+
+    #[test]
+    fn the_schema_describes_what_is_written() {
+        let document = serde_json::to_value(Document::openapi()).unwrap();
+        let schemas = &document["components"]["schemas"];
+        let dance = Dance {
+            model: "still".into(),
+            seed: 1,
+            skeleton: Skeleton {
+                joints: vec!["pelvis".into()],
+                parents: vec![-1],
+                offsets: vec![[0.0; 3]],
+                root_height: 0.9,
+            },
+            animation: Animation {
+                fps: 60,
+                root: vec![Vec3::Y],
+                rotations: vec![vec![Quat::IDENTITY]],
+            },
+            positions: ndarray::array![[[0.0, 1.0, 0.0]]],
+            positions_source: PositionsSource::Decoder,
+            codes: Codes::default(),
+            music: Some(MusicInfo {
+                tempo_bpm: 0.0,
+                beats_s: Vec::new(),
+            }),
+            audio_seconds: 0.0,
+            timings: Timings::default(),
+            warnings: Vec::new(),
+        };
+        let options = JsonOptions {
+            rotations: true,
+            encoding: Encoding::Base64,
+        };
+        let written: Value = serde_json::from_slice(&to_json(&dance, &options).unwrap()).unwrap();
+        assert_eq!(keys(&written), keys(&schemas["Dance"]["properties"]));
+        for (key, schema) in [
+            ("skeleton", "Skeleton"),
+            ("codes", "Codes"),
+            ("music", "Music"),
+            ("timings_ms", "Timings"),
+        ] {
+            assert_eq!(keys(&written[key]), keys(&schemas[schema]["properties"]));
+        }
+        assert_eq!(written["root"], "AAAAAAAAgD8AAAAA");
     }
 }

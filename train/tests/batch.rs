@@ -1,5 +1,11 @@
 //! The graphs serve any batch: a batch of two equals two single runs.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
 mod common;
 
 use std::{

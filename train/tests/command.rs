@@ -1,5 +1,11 @@
 //! The command line as a person meets it: help, exit codes, one-line errors.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
 mod common;
 
 use std::{

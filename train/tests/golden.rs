@@ -1,6 +1,12 @@
 //! Single runs of the three graphs against the golden vectors (ARCHITECTURE section 5). Sampling
 //! itself is the engine's: here every window is given.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
 mod common;
 
 use std::path::Path;

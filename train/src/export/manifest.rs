@@ -27,7 +27,7 @@ pub(super) fn manifest(
     vqvae: &VqVaeWeights,
     description: &Description,
 ) -> Result<Manifest, ExportError> {
-    let context = gpt.block() - 1;
+    let context = gpt.block().saturating_sub(1);
     let (upper_joints, lower_joints) = HALF_JOINTS;
     Ok(Manifest {
         format_version: FORMAT_VERSION,

@@ -92,16 +92,24 @@ impl GraphBuilder {
         Value(name.to_owned())
     }
 
-    /// Publishes `value` as the output `name`.
+    /// Publishes `value` as the output `name`, which is its name from now on: passing it through an
+    /// Identity could cost a copy of the whole cache at every step.
     pub(super) fn output(
         &mut self,
         name: &str,
         value: &Value,
         element: Element,
         shape: &[Dim<'_>],
-    ) {
+    ) -> Value {
         self.graph.output.push(value_info(name, element, shape));
-        self.push_node("Identity", &[value], vec![name.to_owned()], &[]);
+        for node in &mut self.graph.node {
+            for used in node.input.iter_mut().chain(&mut node.output) {
+                if *used == value.0 {
+                    name.clone_into(used);
+                }
+            }
+        }
+        Value(name.to_owned())
     }
 
     /// A weight, stored as the model directory stores its weights.
@@ -280,7 +288,8 @@ mod tests {
         let model = proto::Model::decode(&*graph.finish().unwrap()).unwrap();
         let graph = model.graph.unwrap();
         let operators: Vec<&str> = graph.node.iter().map(|node| &*node.op_type).collect();
-        assert_eq!(operators, ["Softmax", "Add", "Identity"]);
+        assert_eq!(operators, ["Softmax", "Add"]);
+        assert_eq!(graph.node[1].output, ["z"]);
         // A zero is written, not left to the reader's default.
         assert_eq!(graph.node[0].attribute[0].i, Some(0));
         assert_eq!(graph.initializer[0].raw_data, [0, 0, 0, 0, 0, 0, 128, 63]);

@@ -94,7 +94,7 @@ fn joint_order() -> Vec<i64> {
     order
 }
 
-/// Codes to their embeddings, [batch, embedding, codes].
+/// Codes to their embeddings, `[batch, embedding, codes]`.
 fn embed(graph: &mut GraphBuilder, name: &str, codebook: &Tensor, codes: &Value) -> Value {
     let codebook = graph.weight(name, codebook);
     let rows = graph.apply(

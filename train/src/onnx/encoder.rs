@@ -117,10 +117,10 @@ fn encode(
 fn without_inputs(convolution: &Convolution, count: usize) -> Convolution {
     let weight = &convolution.weight;
     let (outputs, inputs, kernel) = (weight.dim(0), weight.dim(1), weight.dim(2));
-    let left = inputs - count;
+    let left = inputs.saturating_sub(count);
     let kept = weight
         .data()
-        .chunks_exact(inputs * kernel)
+        .chunks_exact((inputs * kernel).max(1))
         .flat_map(|output| output.iter().skip(count * kernel).copied());
     let mut kept = kept.collect::<Vec<f32>>().into_iter();
     Convolution {

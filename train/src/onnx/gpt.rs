@@ -53,7 +53,7 @@ struct GptGraph<'a> {
 }
 
 impl GptGraph<'_> {
-    /// The three streams with their positions, one after the other: [batch, 3 x steps, channels].
+    /// The three streams with their positions, one after the other: `[batch, 3 x steps, channels]`.
     fn embeddings(&mut self) -> Value {
         let steps = [Dim::Named("batch"), Dim::Named("steps")];
         let columns = Dim::Fixed(self.weights.columns());
@@ -122,7 +122,7 @@ impl GptGraph<'_> {
         let [query, key, value] = self
             .graph
             .split::<3>(&fused, 2)
-            .map(|part| self.to_heads(&part));
+            .map(|part| self.split_heads(&part));
         let key = self.extend_cache("key", layer, &key);
         let value = self.extend_cache("value", layer, &value);
 
@@ -146,8 +146,8 @@ impl GptGraph<'_> {
         self.linear(&format!("{name}.projection"), &block.projection, &mixed)
     }
 
-    /// [batch, tokens, channels] to [batch, heads, tokens, head size].
-    fn to_heads(&mut self, value: &Value) -> Value {
+    /// `[batch, tokens, channels]` to [batch, heads, tokens, head size].
+    fn split_heads(&mut self, value: &Value) -> Value {
         let shape = [0, 0, self.weights.heads, self.weights.head_size()];
         let name = format!("{}.heads", value.name());
         let split = self.reshape(value, &name, &shape);
@@ -172,8 +172,7 @@ impl GptGraph<'_> {
             .graph
             .apply("Concat", &[&past, new], &[("axis", Attribute::Int(2))]);
         let name = format!("present_{kind}.{layer}");
-        self.graph.output(&name, &present, Float, &present_shape);
-        present
+        self.graph.output(&name, &present, Float, &present_shape)
     }
 
     /// Upper logits from the upper third of the tokens, lower logits from the lower third.

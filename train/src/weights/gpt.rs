@@ -12,16 +12,16 @@ use crate::{Tensor, checkpoint::Checkpoint, checkpoint::CheckpointError};
 /// Streams that the position table covers: music, upper and lower codes.
 const STREAMS: usize = 3;
 
-/// An affine map: `weight` is [out, in], `bias` is [out].
+/// An affine map: `weight` is `[out, in]`, `bias` is `[out]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Linear {
-    /// Matrix, [out, in].
+    /// Matrix, `[out, in]`.
     pub weight: Tensor,
-    /// Offset, [out].
+    /// Offset, `[out]`.
     pub bias: Tensor,
 }
 
-/// Scale and offset of a layer normalisation, each [channels].
+/// Scale and offset of a layer normalisation, each `[channels]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerNorm {
     /// Scale.
@@ -35,40 +35,40 @@ pub struct LayerNorm {
 pub struct Block {
     /// Before the attention.
     pub attention_norm: LayerNorm,
-    /// Queries, [channels, channels].
+    /// Queries, `[channels, channels]`.
     pub query: Linear,
-    /// Keys, [channels, channels].
+    /// Keys, `[channels, channels]`.
     pub key: Linear,
-    /// Values, [channels, channels].
+    /// Values, `[channels, channels]`.
     pub value: Linear,
-    /// Output of the attention, [channels, channels].
+    /// Output of the attention, `[channels, channels]`.
     pub projection: Linear,
     /// Before the perceptron.
     pub mlp_norm: LayerNorm,
-    /// First map of the perceptron, [hidden, channels].
+    /// First map of the perceptron, `[hidden, channels]`.
     pub mlp_in: Linear,
-    /// Second map of the perceptron, [channels, hidden].
+    /// Second map of the perceptron, `[channels, hidden]`.
     pub mlp_out: Linear,
 }
 
 /// Weights of the motion GPT.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GptWeights {
-    /// Music rows to channels, [channels, columns].
+    /// Music rows to channels, `[channels, columns]`.
     pub music: Linear,
-    /// Upper codes, [vocabulary, channels].
+    /// Upper codes, `[vocabulary, channels]`.
     pub upper_embedding: Tensor,
-    /// Lower codes, [vocabulary, channels].
+    /// Lower codes, `[vocabulary, channels]`.
     pub lower_embedding: Tensor,
-    /// Learned positions of music, upper and lower in turn, [3 * block, channels].
+    /// Learned positions of music, upper and lower in turn, `[3 * block, channels]`.
     pub positions: Tensor,
     /// Blocks of the state network, then those of the policy.
     pub blocks: Vec<Block>,
     /// After the last block.
     pub final_norm: LayerNorm,
-    /// Channels to upper logits, [vocabulary, channels].
+    /// Channels to upper logits, `[vocabulary, channels]`.
     pub upper_head: Tensor,
-    /// Channels to lower logits, [vocabulary, channels].
+    /// Channels to lower logits, `[vocabulary, channels]`.
     pub lower_head: Tensor,
     /// Attention heads.
     pub heads: usize,

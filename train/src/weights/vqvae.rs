@@ -27,9 +27,9 @@ const DILATION_GROWTH: usize = 3;
 /// A convolution along time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Convolution {
-    /// [out, in, kernel]; [in, out, kernel] where it is transposed.
+    /// `[out, in, kernel]`; [in, out, kernel] where it is transposed.
     pub weight: Tensor,
-    /// [out].
+    /// `[out]`.
     pub bias: Tensor,
 }
 
@@ -67,7 +67,7 @@ pub struct EncoderWeights {
 pub struct DecoderLevel {
     /// Dilations descending.
     pub stack: Vec<ResidualBlock>,
-    /// Kernel 4, stride 2, padding 1, weight [in, out, 4].
+    /// Kernel 4, stride 2, padding 1, weight `[in, out, 4]`.
     pub transposed: Convolution,
 }
 
@@ -87,7 +87,7 @@ pub struct DecoderWeights {
 pub struct HalfWeights {
     /// Motion to embeddings.
     pub encoder: EncoderWeights,
-    /// [codes, embedding].
+    /// `[codes, embedding]`.
     pub codebook: Tensor,
     /// Embeddings to motion.
     pub decoder: DecoderWeights,
