@@ -133,7 +133,10 @@ fn classify_dance(error: &Error) -> (StatusCode, &'static str) {
         Error::Features(FeatureError::NotFinite { .. }) => {
             (StatusCode::UNPROCESSABLE_ENTITY, "undecodable_audio")
         }
-        Error::Engine(EngineError::Option { .. }) => (StatusCode::BAD_REQUEST, "invalid_option"),
+        // Features come from the upload alone here, so a problem with them is ours.
+        Error::Engine(EngineError::Option { name, .. }) if *name != "features" => {
+            (StatusCode::BAD_REQUEST, "invalid_option")
+        }
         Error::Engine(EngineError::QueueFull { .. }) => {
             (StatusCode::TOO_MANY_REQUESTS, "queue_full")
         }
@@ -144,7 +147,7 @@ fn classify_dance(error: &Error) -> (StatusCode, &'static str) {
 fn classify_audio(error: &AudioError) -> (StatusCode, &'static str) {
     const UNPROCESSABLE: StatusCode = StatusCode::UNPROCESSABLE_ENTITY;
     match error {
-        AudioError::Empty => (UNPROCESSABLE, "empty_audio"),
+        AudioError::Empty => (StatusCode::BAD_REQUEST, "missing_audio"),
         AudioError::UnsupportedContainer { .. } | AudioError::UnsupportedCodec { .. } => {
             (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type")
         }
@@ -202,10 +205,10 @@ pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response
             .canonical_reason()
             .unwrap_or("the request cannot be answered")
             .to_lowercase(),
-        error_type: if parts.status.is_server_error() {
-            "internal"
-        } else {
-            "invalid_request"
+        error_type: match parts.status {
+            StatusCode::NOT_FOUND => "not_found",
+            status if status.is_server_error() => "internal",
+            _ => "invalid_request",
         },
     });
     let body = serde_json::json!(ErrorBody {

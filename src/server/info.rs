@@ -1,15 +1,14 @@
 //! What the service says about itself.
 
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
-use super::{
-    config::Limits,
-    options::FRAME_RATES,
-    render::{FORMATS, OutputFormat},
+use super::{config::Limits, state::Generate};
+use crate::{
+    format::OutputFormat,
+    model::{Manifest, WindowKind},
+    motion::FRAME_RATES,
 };
-use crate::model::{Manifest, WindowKind};
 
 /// Containers that the decoder accepts, told from their bytes.
 const AUDIO: [&str; 5] = ["wav", "flac", "mp3", "ogg/vorbis", "m4a/aac"];
@@ -37,8 +36,7 @@ struct ModelInfo {
     name: String,
     /// Licence of the weights.
     licence: String,
-    /// SHA-256 of the loaded manifest as compact JSON. The manifest holds the hash of every other
-    /// file, so this tells models apart.
+    /// SHA-256 of `manifest.json`, which holds the hash of every other file.
     manifest_sha256: String,
     /// Frames per second that the model itself makes.
     fps: u32,
@@ -92,12 +90,12 @@ struct FormatInfo {
 }
 
 impl Info {
-    pub(crate) fn new(manifest: &Manifest, limits: &Limits) -> Self {
+    pub(crate) fn new(engine: &dyn Generate, limits: &Limits) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION"),
-            model: ModelInfo::new(manifest),
+            model: ModelInfo::new(engine.manifest(), engine.model_sha256()),
             frame_rates: FRAME_RATES,
-            formats: FORMATS.map(|format: OutputFormat| FormatInfo {
+            formats: OutputFormat::ALL.map(|format| FormatInfo {
                 name: format.name(),
                 content_type: format.content_type(),
             }),
@@ -108,15 +106,15 @@ impl Info {
 }
 
 impl ModelInfo {
-    fn new(manifest: &Manifest) -> Self {
+    fn new(manifest: &Manifest, sha256: &str) -> Self {
         let sampling = &manifest.sampling;
         let features = serde_json::to_value(manifest.features.profile).unwrap_or_default();
         Self {
             name: manifest.name.clone(),
             licence: manifest.licence.clone(),
-            manifest_sha256: hash(manifest),
+            manifest_sha256: sha256.to_owned(),
             fps: manifest.fps,
-            codes_per_second: f64::from(manifest.fps) / manifest.frames_per_code.max(1) as f64,
+            codes_per_second: manifest.codes_per_second(),
             vocabulary: VocabularyInfo {
                 upper: manifest.vocabulary.upper,
                 lower: manifest.vocabulary.lower,
@@ -139,12 +137,4 @@ impl ModelInfo {
             },
         }
     }
-}
-
-fn hash(manifest: &Manifest) -> String {
-    let json = serde_json::to_vec(manifest).unwrap_or_default();
-    Sha256::digest(json)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
 }

@@ -15,7 +15,6 @@ mod media;
 mod negotiate;
 mod openapi;
 mod options;
-mod render;
 mod router;
 mod routes;
 mod serve;

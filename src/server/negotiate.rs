@@ -2,11 +2,8 @@
 
 use axum::http::{HeaderMap, header};
 
-use super::{
-    error::ServerError,
-    options::shorten,
-    render::{FORMATS, OutputFormat},
-};
+use super::{error::ServerError, options::shorten};
+use crate::format::OutputFormat;
 
 /// The format that an `Accept` header prefers (RFC 9110, section 12.5.1); JSON when it has no
 /// preference.
@@ -25,7 +22,7 @@ pub(crate) fn from_accept(headers: &HeaderMap) -> Result<OutputFormat, ServerErr
         return Ok(OutputFormat::Json);
     }
     let mut best: Option<(f32, OutputFormat)> = None;
-    for format in FORMATS {
+    for format in OutputFormat::ALL {
         let quality = quality(&ranges, format.content_type());
         if quality > 0.0 && best.is_none_or(|(so_far, _)| quality > so_far) {
             best = Some((quality, format));
@@ -39,7 +36,9 @@ pub(crate) fn from_accept(headers: &HeaderMap) -> Result<OutputFormat, ServerErr
                     .and_then(|value| value.to_str().ok())
                     .unwrap_or_default(),
             ),
-            available: FORMATS.map(OutputFormat::content_type).join(" and "),
+            available: OutputFormat::ALL
+                .map(OutputFormat::content_type)
+                .join(" and "),
         })
 }
 

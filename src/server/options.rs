@@ -12,14 +12,15 @@ use utoipa::{
     },
 };
 
-use super::{
-    error::ServerError,
-    render::{BvhUnit, Encoding, OutputFormat},
+use super::error::ServerError;
+use crate::{
+    audio::AudioRange,
+    engine::{GenerationOptions, MAX_SEED, MAX_TEMPERATURE},
+    format::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
+    model::WindowKind,
+    motion::FRAME_RATES,
 };
-use crate::{audio::AudioRange, engine::GenerationOptions, model::WindowKind};
 
-/// Frame rates that a dance can be resampled to.
-pub(crate) const FRAME_RATES: [u32; 4] = [20, 24, 30, 60];
 /// Longest option value that is looked at, in bytes.
 pub(crate) const LONGEST_VALUE: usize = 256;
 /// Options of later versions.
@@ -43,9 +44,9 @@ pub(crate) struct RequestOptions {
     duration_s: Option<f64>,
     root_motion: Option<bool>,
     music: Option<bool>,
-    pub(crate) rotations: bool,
-    pub(crate) encoding: Encoding,
-    pub(crate) bvh_unit: BvhUnit,
+    rotations: bool,
+    encoding: Option<Encoding>,
+    bvh_unit: Option<BvhUnit>,
     given: Vec<&'static str>,
 }
 
@@ -63,11 +64,15 @@ struct OptionSpec {
 enum Accepts {
     Words(&'static [&'static str]),
     IntegerOf(&'static [u32]),
+    /// From `least` to `most`.
     Integer {
         least: u64,
+        most: u64,
     },
-    /// At least 0.
-    Number,
+    /// From 0 to `most`.
+    Number {
+        most: f64,
+    },
     /// Above 0.
     PositiveNumber,
     Boolean,
@@ -78,10 +83,7 @@ const OPTIONS: [OptionSpec; 16] = [
         name: "format",
         about: "Format of the dance. Wins over the Accept header. Default: json.",
         accepts: Accepts::Words(&["json", "bvh"]),
-        read: |options, text| {
-            options.format = OutputFormat::from_name(text);
-            options.format.is_some()
-        },
+        read: |options, text| put(&mut options.format, text),
     },
     OptionSpec {
         name: "fps",
@@ -92,33 +94,45 @@ const OPTIONS: [OptionSpec; 16] = [
     OptionSpec {
         name: "seed",
         about: "Seed of everything that is drawn. Drawn itself if absent, and always returned.",
-        accepts: Accepts::Integer { least: 0 },
+        accepts: Accepts::Integer {
+            least: 0,
+            most: MAX_SEED,
+        },
         read: |options, text| put(&mut options.seed, text),
     },
     OptionSpec {
         name: "temperature",
         about: "0 takes the most likely pose code, as in the paper; higher is livelier. Default: the model's.",
-        accepts: Accepts::Number,
-        read: |options, text| {
-            put(&mut options.temperature, text) && options.temperature.is_some_and(f32::is_finite)
+        accepts: Accepts::Number {
+            most: MAX_TEMPERATURE as f64,
         },
+        read: |options, text| put(&mut options.temperature, text),
     },
     OptionSpec {
         name: "top_k",
         about: "Draw from this many most likely pose codes. Default: the model's.",
-        accepts: Accepts::Integer { least: 1 },
+        accepts: Accepts::Integer {
+            least: 1,
+            most: u32::MAX as u64,
+        },
         read: |options, text| put(&mut options.top_k, text),
     },
     OptionSpec {
         name: "start_upper",
         about: "First pose code of the upper body. Drawn if absent.",
-        accepts: Accepts::Integer { least: 0 },
+        accepts: Accepts::Integer {
+            least: 0,
+            most: u32::MAX as u64,
+        },
         read: |options, text| put(&mut options.start_upper, text),
     },
     OptionSpec {
         name: "start_lower",
         about: "First pose code of the lower body. Drawn if absent.",
-        accepts: Accepts::Integer { least: 0 },
+        accepts: Accepts::Integer {
+            least: 0,
+            most: u32::MAX as u64,
+        },
         read: |options, text| put(&mut options.start_lower, text),
     },
     OptionSpec {
@@ -136,13 +150,16 @@ const OPTIONS: [OptionSpec; 16] = [
     OptionSpec {
         name: "hop",
         about: "Pose codes kept when a hop window shrinks. Default: the model's.",
-        accepts: Accepts::Integer { least: 1 },
+        accepts: Accepts::Integer {
+            least: 1,
+            most: u32::MAX as u64,
+        },
         read: |options, text| put(&mut options.hop, text),
     },
     OptionSpec {
         name: "offset_s",
         about: "Where in the song the dance starts, in seconds. Default: 0.",
-        accepts: Accepts::Number,
+        accepts: Accepts::Number { most: f64::MAX },
         read: |options, text| put(&mut options.offset_s, text),
     },
     OptionSpec {
@@ -174,27 +191,15 @@ const OPTIONS: [OptionSpec; 16] = [
     },
     OptionSpec {
         name: "encoding",
-        about: "How the JSON carries positions: as `numbers`, or as `base64` of little-endian float32. Default: numbers.",
-        accepts: Accepts::Words(&["numbers", "base64"]),
-        read: |options, text| {
-            options.encoding = match text {
-                "base64" => Encoding::Base64,
-                _ => Encoding::Numbers,
-            };
-            true
-        },
+        about: "How the JSON carries large arrays: `json` numbers, or `base64` of little-endian float32. Default: json.",
+        accepts: Accepts::Words(&["json", "base64"]),
+        read: |options, text| put(&mut options.encoding, text),
     },
     OptionSpec {
         name: "bvh_unit",
         about: "Unit of lengths in BVH. Default: cm.",
         accepts: Accepts::Words(&["cm", "m"]),
-        read: |options, text| {
-            options.bvh_unit = match text {
-                "m" => BvhUnit::Metres,
-                _ => BvhUnit::Centimetres,
-            };
-            true
-        },
+        read: |options, text| put(&mut options.bvh_unit, text),
     },
 ];
 
@@ -262,6 +267,16 @@ impl RequestOptions {
         Ok(options)
     }
 
+    /// Writes `dance` as asked for.
+    pub(crate) fn write(&self, dance: &Dance, format: OutputFormat) -> crate::Result<Vec<u8>> {
+        let json = JsonOptions {
+            rotations: self.rotations,
+            encoding: self.encoding.unwrap_or_default(),
+        };
+        let bytes = format.write(dance, &json, self.bvh_unit.unwrap_or_default())?;
+        Ok(bytes)
+    }
+
     /// The engine's part of the options.
     pub(crate) fn generation(&self, format: OutputFormat) -> GenerationOptions {
         let default = GenerationOptions::default();
@@ -299,8 +314,10 @@ impl Accepts {
         match self {
             Self::Words(words) => words.contains(&text),
             Self::IntegerOf(values) => text.parse().is_ok_and(|value| values.contains(&value)),
-            Self::Integer { least } => text.parse::<u64>().is_ok_and(|value| value >= least),
-            Self::Number => number().is_some_and(|value| value >= 0.0),
+            Self::Integer { least, most } => text
+                .parse::<u64>()
+                .is_ok_and(|value| (least..=most).contains(&value)),
+            Self::Number { most } => number().is_some_and(|value| (0.0..=most).contains(&value)),
             Self::PositiveNumber => number().is_some_and(|value| value > 0.0),
             Self::Boolean => text.parse::<bool>().is_ok(),
         }
@@ -311,8 +328,11 @@ impl Accepts {
         match self {
             Self::Words(words) => of(Type::String).enum_values(Some(words.iter().copied())),
             Self::IntegerOf(values) => of(Type::Integer).enum_values(Some(values.iter().copied())),
-            Self::Integer { least } => of(Type::Integer).minimum(Some(least)),
-            Self::Number => of(Type::Number).minimum(Some(0)),
+            Self::Integer { least, most } => {
+                of(Type::Integer).minimum(Some(least)).maximum(Some(most))
+            }
+            Self::Number { most } if most == f64::MAX => of(Type::Number).minimum(Some(0)),
+            Self::Number { most } => of(Type::Number).minimum(Some(0)).maximum(Some(most)),
             Self::PositiveNumber => of(Type::Number).exclusive_minimum(Some(0)),
             Self::Boolean => of(Type::Boolean),
         }
@@ -331,8 +351,9 @@ impl fmt::Display for Accepts {
                 let values: Vec<String> = values.iter().map(u32::to_string).collect();
                 write!(f, "one of {}", values.join(", "))
             }
-            Self::Integer { least } => write!(f, "a whole number, {least} or more"),
-            Self::Number => f.write_str("a number, 0 or more"),
+            Self::Integer { least, most } => write!(f, "a whole number from {least} to {most}"),
+            Self::Number { most } if *most == f64::MAX => f.write_str("a number, 0 or more"),
+            Self::Number { most } => write!(f, "a number from 0 to {most}"),
             Self::PositiveNumber => f.write_str("a number above 0"),
             Self::Boolean => f.write_str("true or false"),
         }
@@ -396,20 +417,20 @@ mod tests {
     #[test]
     fn every_option_is_read() {
         let options = query(
-            "format=bvh&fps=24&seed=18446744073709551615&temperature=0.5&top_k=7&start_upper=1\
+            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&start_upper=1\
              &start_lower=2&window=sliding&hop=15&offset_s=1.5&duration_s=2e1&root_motion=false\
              &music=true&include=rotations&encoding=base64&bvh_unit=m",
         )
         .unwrap();
         assert_eq!(options.given.len(), OPTIONS.len());
         assert_eq!(options.format, Some(OutputFormat::Bvh));
-        assert_eq!(options.encoding, Encoding::Base64);
-        assert_eq!(options.bvh_unit, BvhUnit::Metres);
+        assert_eq!(options.encoding, Some(Encoding::Base64));
+        assert_eq!(options.bvh_unit, Some(BvhUnit::Metre));
         assert!(options.rotations);
         assert_eq!(
             options.generation(OutputFormat::Bvh),
             GenerationOptions {
-                seed: Some(u64::MAX),
+                seed: Some(MAX_SEED),
                 temperature: Some(0.5),
                 top_k: Some(7),
                 start_upper: Some(1),
@@ -446,14 +467,18 @@ mod tests {
             "fps=25",
             "option `fps`: got \"25\", expected one of 20, 24, 30, 60",
         );
-        says("seed=-1", "expected a whole number, 0 or more");
-        says("seed=18446744073709551616", "option `seed`");
+        says(
+            "seed=-1",
+            "expected a whole number from 0 to 9007199254740991",
+        );
+        says("seed=9007199254740992", "option `seed`");
         says("seed=", "option `seed`: got \"\"");
-        says("temperature=warm", "expected a number, 0 or more");
+        says("temperature=warm", "expected a number from 0 to 10");
+        says("offset_s=-1", "expected a number, 0 or more");
         says("temperature=NaN", "option `temperature`");
         says("temperature=1e300", "option `temperature`");
         says("temperature=-0.1", "option `temperature`");
-        says("top_k=0", "expected a whole number, 1 or more");
+        says("top_k=0", "expected a whole number from 1 to");
         says("start_upper=4294967296", "option `start_upper`");
         says("duration_s=0", "expected a number above 0");
         says("duration_s=inf", "option `duration_s`");

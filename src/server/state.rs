@@ -18,6 +18,9 @@ pub trait Generate: Send + Sync + 'static {
     /// The loaded model's manifest.
     fn manifest(&self) -> &Manifest;
 
+    /// SHA-256 of the loaded manifest, which identifies the whole model.
+    fn model_sha256(&self) -> &str;
+
     /// Checks `options` against the model without any work.
     ///
     /// # Errors
@@ -39,6 +42,10 @@ pub trait Generate: Send + Sync + 'static {
 impl Generate for Choreographer {
     fn manifest(&self) -> &Manifest {
         self.manifest()
+    }
+
+    fn model_sha256(&self) -> &str {
+        self.model_sha256()
     }
 
     fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
@@ -70,7 +77,7 @@ pub(crate) struct ServerState {
 impl ServerState {
     pub(crate) fn new(engine: Arc<dyn Generate>, limits: Limits) -> SharedState {
         Arc::new(Self {
-            info: Info::new(engine.manifest(), &limits),
+            info: Info::new(engine.as_ref(), &limits),
             admission: Admission::new(&limits),
             lifecycle: Lifecycle::default(),
             engine,

@@ -11,7 +11,7 @@ use bytes::Bytes;
 
 use crate::{
     CancelToken,
-    format::{Dance, Timings},
+    format::{Dance, DanceJson, OutputFormat, Timings},
     server::{
         admission::Permit,
         body::IncomingBody,
@@ -20,7 +20,6 @@ use crate::{
         media::Media,
         negotiate,
         options::{GenerateForm, RequestOptions},
-        render::{OutputFormat, render},
         state::{Generate, SharedState},
         upload,
     },
@@ -47,7 +46,7 @@ use crate::{
         (
             status = 200,
             description = "The dance.",
-            content((serde_json::Value = "application/json"), (String = "application/x-bvh")),
+            content((DanceJson<'static> = "application/json"), (String = "application/x-bvh")),
             headers(
                 ("x-seed" = u64, description = "The seed that was used."),
                 ("x-total-time" = f64, description = "Milliseconds in all."),
@@ -110,6 +109,9 @@ async fn answer(
     let limits = &state.limits;
     let media = Media::of(&parts.headers)?;
     let options = RequestOptions::from_query(&parts.uri)?;
+    state
+        .engine
+        .check(&options.generation(OutputFormat::Json))?;
     upload::check_declared(&body, media, limits)?;
     let accept = parts.headers.clone();
 
@@ -159,7 +161,7 @@ impl Job {
             // Named, so that the closure owns it: dropping the future alone must not free it.
             let _permit = self.permit;
             let dance = self.engine.generate(self.audio, &generation, &cancel)?;
-            let body = render(&dance, self.format, &self.options)?;
+            let body = self.options.write(&dance, self.format)?;
             Ok(Rendered::new(&dance, body))
         };
         match tokio::task::spawn_blocking(work).await {

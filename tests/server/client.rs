@@ -1,0 +1,121 @@
+//! Requests and what came back.
+
+use std::{num::NonZeroUsize, sync::Arc};
+
+use axum::{
+    Router,
+    body::Body,
+    http::{HeaderMap, Method, Request, StatusCode, header},
+};
+use bailando::server::{Generate, Limits, router};
+use http_body_util::BodyExt;
+use serde_json::Value;
+use tower::ServiceExt;
+
+/// An answer, read to its end.
+#[derive(Debug)]
+pub(crate) struct Answer {
+    pub(crate) status: StatusCode,
+    pub(crate) headers: HeaderMap,
+    pub(crate) body: Vec<u8>,
+}
+
+impl Answer {
+    pub(crate) fn json(&self) -> Value {
+        serde_json::from_slice(&self.body).unwrap_or_else(|error| {
+            let text = String::from_utf8_lossy(&self.body);
+            panic!("{} is not JSON ({error}): {text}", self.status)
+        })
+    }
+
+    pub(crate) fn header(&self, name: &str) -> &str {
+        self.headers
+            .get(name)
+            .unwrap_or_else(|| panic!("{} without {name}: {:?}", self.status, self.headers))
+            .to_str()
+            .unwrap()
+    }
+
+    /// Checks that this is an error in the one shape, and returns its message.
+    #[track_caller]
+    pub(crate) fn expect_error(&self, status: u16, error_type: &str) -> String {
+        let body = self.json();
+        assert_eq!(
+            (self.status.as_u16(), body["error_type"].as_str()),
+            (status, Some(error_type)),
+            "{body}"
+        );
+        let fields: Vec<_> = body.as_object().unwrap().keys().collect();
+        assert_eq!(fields, ["error", "error_type", "request_id"]);
+        assert_eq!(body["request_id"], self.header("x-request-id"));
+        assert_eq!(self.header("content-type"), "application/json");
+        if [429, 503].contains(&status) {
+            assert!(self.header("retry-after").parse::<u64>().unwrap() >= 1);
+        }
+        body["error"].as_str().unwrap().to_owned()
+    }
+}
+
+/// Limits that tests can reach: one request runs, one waits.
+pub(crate) fn small_limits() -> Limits {
+    Limits {
+        max_concurrent_requests: NonZeroUsize::MIN,
+        queue: 1,
+        ..Limits::default()
+    }
+}
+
+pub(crate) fn app(engine: &Arc<impl Generate>, limits: &Limits) -> Router {
+    router(Arc::clone(engine) as Arc<dyn Generate>, limits.clone())
+}
+
+pub(crate) async fn send(app: &Router, request: Request<Body>) -> Answer {
+    let response = app.clone().oneshot(request).await.unwrap();
+    let (parts, body) = response.into_parts();
+    Answer {
+        status: parts.status,
+        headers: parts.headers,
+        body: body.collect().await.unwrap().to_bytes().to_vec(),
+    }
+}
+
+pub(crate) async fn get(app: &Router, path: &str) -> Answer {
+    send(app, Request::get(path).body(Body::empty()).unwrap()).await
+}
+
+/// `POST /generate?query` with the audio as the body.
+pub(crate) fn raw(query: &str, audio: impl Into<Body>) -> Request<Body> {
+    Request::builder()
+        .method(Method::POST)
+        .uri(format!("/generate?{query}"))
+        .header(header::CONTENT_TYPE, "audio/mpeg")
+        .body(audio.into())
+        .unwrap()
+}
+
+/// `POST /generate?query` as a form.
+pub(crate) fn form(query: &str, parts: &[(&str, &[u8])]) -> Request<Body> {
+    let mut body = Vec::new();
+    for (name, value) in parts {
+        let file = if *name == "file" {
+            "; filename=\"song.mp3\"\r\nContent-Type: audio/mpeg"
+        } else {
+            ""
+        };
+        let head =
+            format!("--frontier\r\nContent-Disposition: form-data; name=\"{name}\"{file}\r\n\r\n");
+        body.extend(head.as_bytes());
+        body.extend(*value);
+        body.extend(b"\r\n");
+    }
+    body.extend(b"--frontier--\r\n");
+    Request::builder()
+        .method(Method::POST)
+        .uri(format!("/generate?{query}"))
+        .header(
+            header::CONTENT_TYPE,
+            "multipart/form-data; boundary=frontier",
+        )
+        .body(body.into())
+        .unwrap()
+}

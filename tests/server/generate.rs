@@ -1,0 +1,248 @@
+//! `POST /generate`: ways to ask, ways to be answered.
+
+use std::sync::atomic::Ordering;
+
+use axum::{
+    body::Body,
+    http::{Request, StatusCode, header},
+};
+use bailando::server::Limits;
+
+use crate::{
+    client::{Answer, app, form, raw, send},
+    fake::{Fake, PANIC},
+};
+
+async fn ask(request: Request<Body>) -> Answer {
+    send(&app(&Fake::new(), &Limits::default()), request).await
+}
+
+async fn ask_accepting(request: Request<Body>, accept: &'static str) -> Answer {
+    let (mut parts, body) = request.into_parts();
+    parts
+        .headers
+        .insert(header::ACCEPT, accept.parse().unwrap());
+    ask(Request::from_parts(parts, body)).await
+}
+
+#[tokio::test]
+async fn json_has_the_documented_shape() {
+    let answer = ask(form("", &[("file", b"song"), ("include", b"rotations")])).await;
+    assert_eq!(answer.status, StatusCode::OK);
+    assert_eq!(answer.header("content-type"), "application/json");
+    insta::assert_json_snapshot!(answer.json());
+}
+
+#[tokio::test]
+async fn form_and_raw_body_give_the_same() {
+    let fake = Fake::new();
+    let app = app(&fake, &Limits::default());
+    let options: [(&str, &[u8]); 3] = [("seed", b"5"), ("fps", b"30"), ("file", b"song")];
+    let as_form = send(&app, form("", &options)).await;
+    let as_mixed = send(&app, form("seed=5", &options[1..])).await;
+    let as_raw = send(&app, raw("seed=5&fps=30", "song")).await;
+    assert_eq!(as_form.status, StatusCode::OK);
+    assert_eq!(as_form.body, as_raw.body);
+    assert_eq!(as_form.body, as_mixed.body);
+    assert_eq!(as_form.json()["fps"], 30);
+    assert!(
+        fake.heard
+            .lock()
+            .unwrap()
+            .iter()
+            .all(|audio| audio == "song")
+    );
+}
+
+/// `curl --data-binary` names the form type when no other is given.
+#[tokio::test]
+async fn a_raw_body_may_come_without_an_audio_type() {
+    for kind in [
+        "application/octet-stream",
+        "application/x-www-form-urlencoded",
+        "audio/x-m4a",
+    ] {
+        let mut request = raw("", "song");
+        request
+            .headers_mut()
+            .insert(header::CONTENT_TYPE, kind.parse().unwrap());
+        assert_eq!(ask(request).await.status, StatusCode::OK, "{kind}");
+    }
+    let mut request = raw("", "song");
+    request.headers_mut().remove(header::CONTENT_TYPE);
+    assert_eq!(ask(request).await.status, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn an_explicit_format_wins_over_accept() {
+    let bvh = "application/x-bvh";
+    for (query, accept, wanted) in [
+        ("", "*/*", "application/json"),
+        ("", "application/json", "application/json"),
+        ("", bvh, bvh),
+        ("format=bvh", "application/json", bvh),
+        ("format=json", bvh, "application/json"),
+        ("format=bvh", "text/html", bvh),
+    ] {
+        let answer = ask_accepting(raw(query, "song"), accept).await;
+        assert_eq!(
+            (answer.status, answer.header("content-type")),
+            (StatusCode::OK, wanted),
+            "{query} {accept}"
+        );
+    }
+    let answer = ask_accepting(raw("", "song"), "model/gltf-binary").await;
+    answer.expect_error(406, "not_acceptable");
+    let answer = ask_accepting(form("", &[("file", b"x"), ("format", b"bvh")]), "*/*").await;
+    assert_eq!(answer.header("content-type"), bvh);
+}
+
+#[tokio::test]
+async fn bvh_is_a_file_with_a_name() {
+    let answer = ask(raw("format=bvh&seed=9", "song")).await;
+    assert_eq!(
+        answer.header("content-disposition"),
+        "attachment; filename=\"dance-9.bvh\""
+    );
+    assert!(answer.body.starts_with(b"HIERARCHY"));
+}
+
+#[tokio::test]
+async fn headers_tell_seed_and_times() {
+    let answer = ask(raw("seed=9007199254740991", "song")).await;
+    assert_eq!(answer.header("x-seed"), "9007199254740991");
+    assert_eq!(answer.header("x-decode-time"), "0.2");
+    assert_eq!(answer.header("x-feature-time"), "0.3");
+    assert_eq!(answer.header("x-inference-time"), "0.4");
+    let time = |name| answer.header(name).parse::<f64>().unwrap();
+    assert!(time("x-queue-time") >= 0.1);
+    assert!(time("x-total-time") > 0.0);
+}
+
+#[tokio::test]
+async fn a_sane_request_id_is_taken_over() {
+    for (sent, taken) in [
+        ("my-id_1.2:3/4+5=", true),
+        ("with space", false),
+        ("quote\"", false),
+        ("", false),
+        (&*"x".repeat(129), false),
+    ] {
+        let mut request = raw("fps=25", "song");
+        request
+            .headers_mut()
+            .insert("x-request-id", sent.parse().unwrap());
+        let answer = ask(request).await;
+        answer.expect_error(400, "invalid_option");
+        assert_eq!(answer.header("x-request-id") == sent, taken, "{sent}");
+        assert!(!answer.header("x-request-id").is_empty());
+    }
+}
+
+#[tokio::test]
+async fn wrong_options_are_refused_before_any_work() {
+    let fake = Fake::new();
+    let app = app(&fake, &Limits::default());
+    for query in [
+        "fps=25",
+        "seed=-1",
+        "temperature=hot",
+        "top_k=0",
+        "start_upper=512",
+        "window=wide",
+        "hop=29",
+        "offset_s=-1",
+        "duration_s=0",
+        "root_motion=2",
+        "include=all",
+        "encoding=hex",
+        "bvh_unit=inch",
+        "continue_from=abc",
+        "format=glb",
+        "no_such_option=1",
+        "seed=1&seed=2",
+        "seed",
+        "seed=%FF",
+    ] {
+        let name = query.split('=').next().unwrap();
+        let said = send(&app, raw(query, "song"))
+            .await
+            .expect_error(400, "invalid_option");
+        assert!(said.contains(&format!("`{name}`")), "{said}");
+        let parts: [(&str, &[u8]); 2] = [
+            (name, query.split('=').nth(1).unwrap_or_default().as_bytes()),
+            ("file", b"song"),
+        ];
+        if !query.contains('&') {
+            send(&app, form("", &parts))
+                .await
+                .expect_error(400, "invalid_option");
+        }
+    }
+    let twice: [(&str, &[u8]); 2] = [("file", b"song"), ("seed", b"1")];
+    send(&app, form("seed=1", &twice))
+        .await
+        .expect_error(400, "invalid_option");
+    assert_eq!(fake.generations.load(Ordering::SeqCst), 0);
+    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn bodies_that_hold_no_audio_are_refused() {
+    ask(raw("", "")).await.expect_error(400, "missing_audio");
+    ask(form("", &[("file", b"")]))
+        .await
+        .expect_error(400, "missing_audio");
+    ask(form("", &[("seed", b"1")]))
+        .await
+        .expect_error(400, "missing_audio");
+    ask(form("", &[])).await.expect_error(400, "missing_audio");
+    ask(form("", &[("file", b"a"), ("file", b"b")]))
+        .await
+        .expect_error(400, "invalid_multipart");
+    let broken = |kind: &'static str, body: &'static str| {
+        let mut request = raw("", body);
+        request
+            .headers_mut()
+            .insert(header::CONTENT_TYPE, kind.parse().unwrap());
+        request
+    };
+    for (kind, body) in [
+        ("multipart/form-data", "--x"),
+        ("multipart/form-data; boundary=x", ""),
+        ("multipart/form-data; boundary=x", "no boundary at all"),
+        ("multipart/form-data; boundary=x", "--x\r\n"),
+        (
+            "multipart/form-data; boundary=x",
+            "--x\r\nContent-Disposition: form-data; name=\"file\"\r\n\r\nhalf",
+        ),
+    ] {
+        ask(broken(kind, body))
+            .await
+            .expect_error(400, "invalid_multipart");
+    }
+    for kind in ["application/json", "text/plain", "image/png"] {
+        ask(broken(kind, "{}"))
+            .await
+            .expect_error(415, "unsupported_media_type");
+    }
+    let mut request = raw("", "song");
+    request
+        .headers_mut()
+        .insert(header::CONTENT_ENCODING, "gzip".parse().unwrap());
+    ask(request)
+        .await
+        .expect_error(415, "unsupported_media_type");
+}
+
+#[tokio::test]
+async fn a_panic_costs_its_own_request_only() {
+    let app = app(&Fake::new(), &Limits::default());
+    for _ in 0..5 {
+        let said = send(&app, raw("", PANIC))
+            .await
+            .expect_error(500, "internal");
+        assert!(!said.contains("test wants"), "internals leaked: {said}");
+    }
+    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+}

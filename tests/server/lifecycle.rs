@@ -1,0 +1,216 @@
+//! Through a socket: starting, draining, stopping, connections that break.
+
+use std::{
+    io::{Read, Write},
+    net::{Shutdown, SocketAddr, TcpStream},
+    sync::{Arc, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use bailando::server::{Limits, Seconds, ServeError, ServerConfig, run};
+use tokio::{net::TcpListener, sync::oneshot, task::JoinHandle};
+
+use crate::{
+    client::small_limits,
+    fake::{BLOCK, Fake},
+};
+
+struct Server {
+    address: SocketAddr,
+    stop: Option<oneshot::Sender<()>>,
+    task: JoinHandle<Result<(), ServeError>>,
+}
+
+impl Server {
+    async fn start(fake: &Arc<Fake>, limits: Limits) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let (stop, stopped) = oneshot::channel::<()>();
+        let engine = Arc::clone(fake);
+        let task = tokio::spawn(async move {
+            let config = ServerConfig {
+                limits,
+                ..ServerConfig::default()
+            };
+            let shutdown = async {
+                stopped.await.ok();
+            };
+            run(&config, engine, listener, shutdown).await
+        });
+        Self {
+            address,
+            stop: Some(stop),
+            task,
+        }
+    }
+
+    fn stop(&mut self) {
+        self.stop.take().unwrap().send(()).unwrap();
+    }
+
+    /// Sends bytes as they are, and reads until the server closes.
+    fn exchange(&self, request: Vec<u8>) -> JoinHandle<String> {
+        let address = self.address;
+        tokio::task::spawn_blocking(move || {
+            let mut stream = TcpStream::connect(address).unwrap();
+            stream
+                .set_read_timeout(Some(Duration::from_secs(20)))
+                .unwrap();
+            // The server may answer and close before it has read everything.
+            let _ = stream.write_all(&request);
+            let mut answer = Vec::new();
+            let _ = stream.read_to_end(&mut answer);
+            String::from_utf8_lossy(&answer).into_owned()
+        })
+    }
+}
+
+fn get(path: &str) -> Vec<u8> {
+    format!("GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").into_bytes()
+}
+
+fn post(audio: &[u8]) -> Vec<u8> {
+    let mut request = format!(
+        "POST /generate HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
+        audio.len()
+    )
+    .into_bytes();
+    request.extend(audio);
+    request
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn draining_ends_what_was_accepted_and_refuses_the_rest() {
+    let fake = Fake::new();
+    let mut server = Server::start(&fake, small_limits()).await;
+    assert!(
+        server
+            .exchange(get("/ready"))
+            .await
+            .unwrap()
+            .starts_with("HTTP/1.1 200")
+    );
+    let running = server.exchange(post(BLOCK));
+    fake.wait_started(1).await;
+    server.stop();
+    let not_ready = loop {
+        let answer = server.exchange(get("/ready")).await.unwrap();
+        if !answer.starts_with("HTTP/1.1 200") {
+            break answer;
+        }
+    };
+    assert!(not_ready.starts_with("HTTP/1.1 503"), "{not_ready}");
+    assert!(not_ready.contains("\"draining\""), "{not_ready}");
+    let refused = server.exchange(post(b"song")).await.unwrap();
+    assert!(refused.starts_with("HTTP/1.1 503"), "{refused}");
+    assert!(refused.contains("retry-after: "), "{refused}");
+    fake.release();
+    assert!(running.await.unwrap().starts_with("HTTP/1.1 200"));
+    server.task.await.unwrap().unwrap();
+    assert!(TcpStream::connect(server.address).is_err());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_idle_server_stops_at_once() {
+    let fake = Fake::new();
+    let mut server = Server::start(&fake, Limits::default()).await;
+    assert!(
+        server
+            .exchange(post(b"song"))
+            .await
+            .unwrap()
+            .starts_with("HTTP/1.1 200")
+    );
+    let idle = TcpStream::connect(server.address).unwrap();
+    let started = Instant::now();
+    server.stop();
+    server.task.await.unwrap().unwrap();
+    assert!(started.elapsed() < Duration::from_secs(2));
+    drop(idle);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn requests_that_outlive_the_drain_are_told_so() {
+    let fake = Fake::new();
+    let limits = Limits {
+        shutdown_timeout: Seconds(Duration::from_millis(200)),
+        ..small_limits()
+    };
+    let mut server = Server::start(&fake, limits).await;
+    let running = server.exchange(post(BLOCK));
+    fake.wait_started(1).await;
+    server.stop();
+    let answer = running.await.unwrap();
+    assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
+    assert!(answer.contains("\"draining\""), "{answer}");
+    let ended = server.task.await.unwrap();
+    assert!(matches!(
+        ended,
+        Err(ServeError::DrainTimeout { lost: 1, .. })
+    ));
+    fake.wait_ended(1).await;
+    assert!(fake.saw_cancel.load(Ordering::SeqCst));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_closed_connection_stops_its_work() {
+    let fake = Fake::new();
+    let server = Server::start(&fake, small_limits()).await;
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    stream.write_all(&post(BLOCK)).unwrap();
+    fake.wait_started(1).await;
+    stream.shutdown(Shutdown::Both).unwrap();
+    drop(stream);
+    fake.wait_ended(1).await;
+    assert!(fake.saw_cancel.load(Ordering::SeqCst));
+    assert!(
+        server
+            .exchange(post(b"song"))
+            .await
+            .unwrap()
+            .starts_with("HTTP/1.1 200")
+    );
+}
+
+/// An upload that breaks off, and one that is refused while it is still being sent.
+#[tokio::test(flavor = "multi_thread")]
+async fn answers_reach_clients_that_are_still_sending() {
+    let fake = Fake::new();
+    let server = Server::start(&fake, Limits::default()).await;
+    // Refused at its head, at its first chunk, and somewhere in the middle.
+    let large = vec![b'x'; 30_000_000];
+    let mut wrong_option = post(&large);
+    wrong_option.splice(5..14, *b"/generate?fps=1");
+    for (request, status) in [(wrong_option, "400"), (post(&large), "413")] {
+        let answer = server.exchange(request).await.unwrap();
+        let wanted = format!("HTTP/1.1 {status}");
+        assert!(answer.starts_with(&wanted), "wanted {wanted}: {answer:?}");
+    }
+    let mut declared = get("/generate");
+    declared.splice(0..3, *b"POST");
+    let end = declared.len() - 2;
+    declared.splice(end..end, *b"Content-Length: 100000001\r\n");
+    let started = Instant::now();
+    let address = server.address;
+    let answer = tokio::task::spawn_blocking(move || {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.write_all(&declared).unwrap();
+        let mut start = [0; 12];
+        stream.read_exact(&mut start).unwrap();
+        start
+    })
+    .await
+    .unwrap();
+    assert_eq!(&answer, b"HTTP/1.1 413");
+    assert!(started.elapsed() < Duration::from_secs(1));
+    let mut half = TcpStream::connect(server.address).unwrap();
+    half.write_all(&post(b"0123456789")[..80]).unwrap();
+    drop(half);
+    assert!(
+        server
+            .exchange(post(b"song"))
+            .await
+            .unwrap()
+            .starts_with("HTTP/1.1 200")
+    );
+}

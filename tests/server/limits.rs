@@ -1,0 +1,238 @@
+//! Limits of size, time and number.
+
+use std::{
+    convert::Infallible,
+    sync::{Arc, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use axum::{
+    body::Body,
+    http::{Request, StatusCode},
+};
+use bailando::server::{ByteSize, Limits, Seconds};
+use bytes::Bytes;
+use futures_util::{StreamExt, stream};
+use tokio::task::JoinSet;
+
+use crate::{
+    client::{Answer, app, form, get, raw, send, small_limits},
+    fake::{BLOCK, Fake},
+};
+
+const LOSSY: usize = 5_000;
+const LOSSLESS: usize = 100_000;
+
+fn byte_limits() -> Limits {
+    Limits {
+        payload_limit: ByteSize(LOSSY as u64),
+        payload_limit_lossless: ByteSize(LOSSLESS as u64),
+        ..Limits::default()
+    }
+}
+
+/// `len` bytes that begin with `magic`.
+fn file(magic: &[u8], len: usize) -> Vec<u8> {
+    let mut bytes = magic.to_vec();
+    bytes.resize(len, 1);
+    bytes
+}
+
+/// A body without a length, in pieces of `piece` bytes.
+fn chunked(bytes: &[u8], piece: usize) -> Body {
+    let pieces: Vec<_> = bytes
+        .chunks(piece)
+        .map(|piece| Ok::<_, Infallible>(Bytes::copy_from_slice(piece)))
+        .collect();
+    Body::from_stream(stream::iter(pieces))
+}
+
+/// The same audio in every way that it can be sent.
+fn ways(audio: &[u8]) -> Vec<(&'static str, Request<Body>)> {
+    let form_bytes = || form("", &[("file", audio)]);
+    let chunked_form = |piece: usize| {
+        let mut request = form("", &[]);
+        let body = [
+            &b"--frontier\r\nContent-Disposition: form-data; name=\"file\"\r\n\r\n"[..],
+            audio,
+            b"\r\n--frontier--\r\n",
+        ]
+        .concat();
+        *request.body_mut() = chunked(&body, piece);
+        request
+    };
+    vec![
+        ("raw", raw("", audio.to_vec())),
+        ("raw in pieces", raw("", chunked(audio, 1_000))),
+        ("raw in small pieces", raw("", chunked(audio, 5))),
+        ("form", form_bytes()),
+        ("form in pieces", chunked_form(1_000)),
+        ("form in small pieces", chunked_form(7)),
+    ]
+}
+
+#[tokio::test]
+async fn a_file_may_have_exactly_its_limit() {
+    let fake = Fake::new();
+    let app = app(&fake, &byte_limits());
+    for (magic, limit) in [
+        (&b"ID3"[..], LOSSY),
+        (b"fLaC", LOSSLESS),
+        (b"RIFF\x01\x02\x03\x04WAVE", LOSSLESS),
+        (b"RIFF\x01\x02\x03\x04AVI ", LOSSY),
+    ] {
+        for len in [limit - 1, limit, limit + 1] {
+            let audio = file(magic, len);
+            for (way, request) in ways(&audio) {
+                let answer = send(&app, request).await;
+                if len <= limit {
+                    assert_eq!(answer.status, StatusCode::OK, "{way}: {len}");
+                    assert_eq!(fake.heard.lock().unwrap().pop().unwrap(), audio, "{way}");
+                } else {
+                    let said = answer.expect_error(413, "payload_too_large");
+                    assert!(said.contains(&limit.to_string()), "{way}: {said}");
+                }
+            }
+        }
+    }
+}
+
+/// A body that is too large is refused at the byte that is too many: this one never ends.
+#[tokio::test]
+async fn excess_is_not_taken_in() {
+    let app = app(&Fake::new(), &byte_limits());
+    let polled = Arc::new(std::sync::atomic::AtomicUsize::new(0));
+    let counted = {
+        let polled = Arc::clone(&polled);
+        stream::repeat_with(move || {
+            polled.fetch_add(1, Ordering::SeqCst);
+            Ok::<_, Infallible>(Bytes::from_static(&[7; 1_000]))
+        })
+        .take(LOSSY / 1_000 + 1)
+        .chain(stream::pending())
+    };
+    let answer = send(&app, raw("", Body::from_stream(counted))).await;
+    answer.expect_error(413, "payload_too_large");
+    assert!(polled.load(Ordering::SeqCst) <= LOSSY / 1_000 + 1);
+}
+
+#[tokio::test]
+async fn a_full_queue_is_answered_at_once_and_probes_still_pass() {
+    let fake = Fake::new();
+    let app = app(&fake, &small_limits());
+    let mut requests = JoinSet::new();
+    let mut ask = || {
+        let app = app.clone();
+        requests.spawn(async move { send(&app, raw("", BLOCK)).await });
+    };
+    ask();
+    fake.wait_started(1).await;
+    ask();
+    ask();
+    // One of the two waits until it is let go, so the first to end is the other.
+    let refused = requests.join_next().await.unwrap().unwrap();
+    refused.expect_error(429, "queue_full");
+    for path in ["/health", "/ready", "/info"] {
+        assert_eq!(get(&app, path).await.status, StatusCode::OK);
+    }
+    fake.release();
+    for answer in requests.join_all().await {
+        assert_eq!(answer.status, StatusCode::OK);
+    }
+    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+}
+
+/// The permit comes before the body: a queue full of slow uploads costs no memory.
+#[tokio::test]
+async fn no_body_is_read_without_a_permit() {
+    let fake = Fake::new();
+    let app = app(&fake, &small_limits());
+    let running = tokio::spawn({
+        let app = app.clone();
+        async move { send(&app, raw("", BLOCK)).await }
+    });
+    fake.wait_started(1).await;
+    let read = Arc::new(std::sync::atomic::AtomicBool::new(false));
+    let body = {
+        let read = Arc::clone(&read);
+        Body::from_stream(stream::once(async move {
+            read.store(true, Ordering::SeqCst);
+            Ok::<_, Infallible>(Bytes::from_static(b"song"))
+        }))
+    };
+    let waiting = tokio::spawn({
+        let app = app.clone();
+        async move { send(&app, raw("", body)).await }
+    });
+    for _ in 0..100 {
+        tokio::task::yield_now().await;
+    }
+    assert!(!read.load(Ordering::SeqCst));
+    fake.release();
+    assert_eq!(running.await.unwrap().status, StatusCode::OK);
+    assert_eq!(waiting.await.unwrap().status, StatusCode::OK);
+    assert!(read.load(Ordering::SeqCst));
+}
+
+#[tokio::test]
+async fn work_that_takes_too_long_is_stopped() {
+    let fake = Fake::new();
+    let limits = Limits {
+        request_timeout: Seconds(Duration::from_millis(100)),
+        ..small_limits()
+    };
+    let app = app(&fake, &limits);
+    let answer = send(&app, raw("", BLOCK)).await;
+    answer.expect_error(503, "timeout");
+    fake.wait_ended(1).await;
+    assert!(fake.saw_cancel.load(Ordering::SeqCst));
+    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn a_client_that_leaves_stops_its_work() {
+    let fake = Fake::new();
+    let app = app(&fake, &small_limits());
+    let request = tokio::spawn({
+        let app = app.clone();
+        async move { send(&app, raw("", BLOCK)).await }
+    });
+    fake.wait_started(1).await;
+    request.abort();
+    fake.wait_ended(1).await;
+    assert!(fake.saw_cancel.load(Ordering::SeqCst));
+    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+}
+
+async fn slow(limits: Limits, pieces: usize, every: Duration) -> Answer {
+    let body = stream::unfold(0, move |sent| async move {
+        if sent == pieces {
+            std::future::pending::<()>().await;
+        }
+        tokio::time::sleep(every).await;
+        Some((Ok::<_, Infallible>(Bytes::from_static(b"x")), sent + 1))
+    });
+    let app = app(&Fake::new(), &limits);
+    send(&app, raw("", Body::from_stream(body.boxed()))).await
+}
+
+#[tokio::test]
+async fn slow_bodies_are_dropped() {
+    let limits = Limits {
+        body_idle_timeout: Seconds(Duration::from_millis(200)),
+        body_timeout: Seconds(Duration::from_millis(500)),
+        ..Limits::default()
+    };
+    let stalled = slow(limits.clone(), 3, Duration::from_millis(1));
+    let dribbling = slow(limits, usize::MAX, Duration::from_millis(20));
+    let started = Instant::now();
+    let said = stalled.await.expect_error(408, "upload_timeout");
+    assert!(
+        said.contains("0.2 s without data and 0.5 s in all"),
+        "{said}"
+    );
+    assert!(started.elapsed() < Duration::from_millis(450));
+    let started = Instant::now();
+    dribbling.await.expect_error(408, "upload_timeout");
+    assert!(started.elapsed() >= Duration::from_millis(450));
+}
