@@ -65,6 +65,12 @@ make_debian() {
     rm -rf "$work/debian/usr/share/"{man,info,locale}/* "$work/debian/var/lib/apt/lists/"* \
         "$work/debian/var/cache/apt/"* "$work/debian/dev" "$work/debian/var/log/"*.log
     mkdir "$work/debian/dev"
+    # As in the official images: apt keeps no packages and no binary caches (77 MB).
+    cat >"$work/debian/etc/apt/apt.conf.d/docker-clean" <<'CONF'
+DPkg::Post-Invoke { "rm -f /var/cache/apt/archives/*.deb || true"; };
+Dir::Cache::pkgcache "";
+Dir::Cache::srcpkgcache "";
+CONF
     tar -C "$work/debian" -cf "$work/debian.tar" .
     rm -rf "$work/debian"
     local container
@@ -105,7 +111,9 @@ collect_settings() {
     for file in config.toml config; do
         [ ! -f "$cargo_home/$file" ] || cp "$cargo_home/$file" "$work/settings/cargo/"
     done
+    # Both folders: installing `ca-certificates` makes the first anew from the second.
     settings=(--volume "$work/settings/certs:/etc/ssl/certs"
+        --volume /usr/local/share/ca-certificates:/usr/local/share/ca-certificates:ro
         --volume "$work/settings/cargo:/usr/local/cargo")
     # Crates that are here already need no second download.
     [ ! -d "$cargo_home/registry" ] ||
@@ -120,11 +128,11 @@ build_image() {
         --tag "$image" . 2>&1 | tee "$work/build.log"
 }
 
-# Sets one line per setting of the image: user, folder, environment and command.
+# Prints what a Python expression over the image's configuration gives, an item a line.
 image_setting() {
-    storage inspect --type image --format '{{json .Docker.Config}}' "$image" | python3 -c "
+    storage inspect --type image "$image" | python3 -c "
 import json, sys
-config = json.load(sys.stdin)
+config = json.load(sys.stdin)['Docker']['config']
 print('\n'.join($1))"
 }
 

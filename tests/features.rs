@@ -1,5 +1,16 @@
 //! The feature chain against the golden vectors of librosa, stage by stage.
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    unreachable_pub,
+    reason = "a test crate: helpers fail loudly, report what they measured, and are public to it only"
+)]
 
+#[allow(
+    unreachable_pub,
+    reason = "shared by test binaries, each a crate of its own"
+)]
 mod common;
 #[path = "features/comparison.rs"]
 mod comparison;
@@ -10,7 +21,7 @@ use std::path::Path;
 
 use bailando::features::{
     BEAT_COLUMN, Beats, CHROMA_COLUMNS, COLUMNS, DELTA_COLUMNS, FeatureExtractor, MFCC_COLUMNS,
-    ONSET_COLUMN, Profile, Rate, TEMPOGRAM_COLUMNS,
+    ONSET_COLUMN, Profile, Rate, Stages, TEMPOGRAM_COLUMNS,
 };
 use comparison::{Checked, Tolerance, frames_with_tone};
 use golden::{GoldenSet, load, load_as_f32, load_vector};
@@ -28,97 +39,55 @@ fn golden_clips_of_librosa_0_11() {
         let pcm = load_vector(&root.join(name).join("pcm.npy"));
         let mut extractor = FeatureExtractor::new(rate_of(clip), Profile::Librosa011);
         let stages = extractor.extract_stages(&pcm).unwrap();
-        let features = &stages.features;
-        let tuning = f64::from(load_as_f32(&root.join(name).join("tuning.npy"))[0]);
-        let stages_of_clip = clip["stages"].as_object().unwrap();
-        for (stage, about) in stages_of_clip {
+        for (stage, about) in clip["stages"].as_object().unwrap() {
             let file = root.join(about["file"].as_str().unwrap());
             let tolerance = Tolerance::of(about);
-            let mut check = |got: &Array2<f32>, expected: &Array2<f32>| {
-                checked.compare(stage, name, got, expected, tolerance);
-            };
             match stage.as_str() {
-                "pcm" => {}
-                "stft_mag_40" => check(&extractor.stft_magnitudes(&pcm, 40).unwrap(), &rows(&file)),
-                "mel_db" => check(&stages.mel_db, &rows(&file)),
-                "mfcc" => check(&columns(features, MFCC_COLUMNS), &rows(&file)),
-                "mfcc_delta" => check(&columns(features, DELTA_COLUMNS), &rows(&file)),
-                "harmonic" => check(&column(&stages.harmonic), &vector(&file)),
-                "percussive" => check(&column(&stages.percussive), &vector(&file)),
+                "pcm" => assert_eq!(pcm.len() as u64, about["shape"][0].as_u64().unwrap()),
+                "stft_mag_40" => {
+                    let got = extractor.stft_magnitudes(&pcm, 40).unwrap();
+                    checked.compare(stage, name, &got, &rows(&file), tolerance);
+                }
                 "cqt_mag" => {
                     // With the golden tuning, so that a wrong one shows in its own stage only.
-                    check(
-                        &extractor.cqt(&stages.harmonic, tuning).unwrap(),
-                        &rows(&file),
-                    );
+                    let tuning = clip["tuning"].as_f64().unwrap();
+                    let got = extractor.cqt(&stages.harmonic, tuning).unwrap();
+                    checked.compare(stage, name, &got, &rows(&file), tolerance);
                 }
-                "chroma_cqt" => {
-                    let frames = frames_with_tone(&stages.cqt);
-                    if frames.is_empty() {
-                        continue;
-                    }
-                    check(
-                        &columns(features, CHROMA_COLUMNS).select(Axis(0), &frames),
-                        &rows(&file).select(Axis(0), &frames),
-                    );
-                }
-                "onset_env" => check(&columns(features, 52..53), &vector(&file)),
-                "tempogram" => check(&columns(features, TEMPOGRAM_COLUMNS), &rows(&file)),
-                "tuning" => check(&column(&[stages.tuning as f32]), &vector(&file)),
-                "tempo" => check(&column(&[stages.beats.tempo_bpm as f32]), &vector(&file)),
-                "beats" => check(&columns(features, 53..54), &vector(&file)),
                 "features" => {
-                    checked.matrix(name, features, &load(&file), &stages.cqt, &about["columns"]);
+                    let (expected, groups) = (load(&file), &about["columns"]);
+                    checked.matrix(name, &stages.features, &expected, &stages.cqt, groups);
                 }
-                unknown => panic!("{name}: no comparison for stage {unknown}"),
+                _ => compare_stage(&mut checked, name, stage, &stages, &file, tolerance),
             }
         }
-        assert_eq!(
-            stages.tuning,
-            clip["tuning"].as_f64().unwrap(),
-            "{name}: tuning"
+        check_tuning(name, stages.tuning, clip);
+        check_beats(
+            name,
+            &stages.beats,
+            &clip["tempo_bpm"],
+            &clip["beat_frames"],
         );
-        check_beats(name, &stages.beats, clip);
-        assert_eq!(
-            stages.beats,
-            extractor.beats(&pcm).unwrap(),
-            "{name}: beats alone"
-        );
-        assert_eq!(
-            *features,
-            extractor.extract(&pcm).unwrap(),
-            "{name}: extract"
-        );
+        check_shortcuts(name, &mut extractor, &pcm, &stages);
     }
     checked.report("librosa 0.11");
     assert_eq!(set.clips().len(), 14);
-    let counts = |stage: &str| checked.clips(stage);
-    assert_eq!(
-        [
-            "stft_mag_40",
-            "harmonic",
-            "percussive",
-            "mel_db",
-            "cqt_mag",
-            "mfcc",
-            "mfcc_delta"
-        ]
-        .map(counts),
-        [6, 9, 9, 12, 12, 12, 12]
-    );
-    assert_eq!(
-        [
-            "chroma_cqt",
-            "onset_env",
-            "tempogram",
-            "tuning",
-            "tempo",
-            "beats",
-            "features"
-        ]
-        .map(counts),
-        [12, 14, 12, 14, 14, 14, 14]
-    );
+    checked.assert_clips(&[
+        ("stft_mag_40", 9),
+        ("mel_db", 12),
+        ("mfcc", 12),
+        ("mfcc_delta", 12),
+        ("harmonic", 9),
+        ("percussive", 9),
+        ("tuning", 14),
+        ("cqt_mag", 12),
+        ("chroma_cqt", 14),
+        ("onset_env", 14),
+        ("tempogram", 12),
+        ("tempo", 14),
+        ("beats", 14),
+        ("features", 14),
+    ]);
 }
 
 /// Every clip in the older profile: columns 0..54, and the tempogram where there is a file.
@@ -137,33 +106,13 @@ fn golden_clips_of_librosa_0_8_1() {
         let mut extractor = FeatureExtractor::new(rate_of(clip), Profile::Librosa081);
         let stages = extractor.extract_stages(&pcm).unwrap();
         let features = &stages.features;
-        let expected: Array2<f32> = load(&root.join(name).join("features54.npy"));
-        let limits = &clip["columns_tol"];
-        let frames = frames_with_tone(&stages.cqt);
-        for (stage, range, limit) in [
-            ("mfcc", MFCC_COLUMNS, limits["mfcc"].as_f64().unwrap()),
-            (
-                "mfcc_delta",
-                DELTA_COLUMNS,
-                limits["mfcc_delta"].as_f64().unwrap(),
-            ),
-            // The bound for the decimation filter of 0.8.1 itself, which is the one used.
-            ("chroma_cqt", CHROMA_COLUMNS, 1e-3),
-            (
-                "onset_env",
-                ONSET_COLUMN..ONSET_COLUMN + 1,
-                limits["onset"].as_f64().unwrap(),
-            ),
-            ("beats", BEAT_COLUMN..BEAT_COLUMN + 1, 0.0),
-        ] {
-            let (mut got, mut wanted) =
-                (columns(features, range.clone()), columns(&expected, range));
-            if stage == "chroma_cqt" {
-                got = got.select(Axis(0), &frames);
-                wanted = wanted.select(Axis(0), &frames);
-            }
-            checked.compare(stage, name, &got, &wanted, Tolerance::absolute(limit));
-        }
+        compare_first_columns(
+            &mut checked,
+            name,
+            &stages,
+            &load(&root.join(name).join("features54.npy")),
+            &clip["columns_tol"],
+        );
         let tempogram = columns(features, TEMPOGRAM_COLUMNS);
         if clip.get("tempogram").is_some() {
             let expected = rows(&root.join(name).join("tempogram.npy"));
@@ -181,32 +130,60 @@ fn golden_clips_of_librosa_0_8_1() {
                 "{name}"
             );
         }
-        assert_eq!(
-            stages.tuning,
-            clip["tuning"].as_f64().unwrap(),
-            "{name}: tuning"
+        check_tuning(name, stages.tuning, clip);
+        check_beats(
+            name,
+            &stages.beats,
+            &clip["tempo_bpm"],
+            &clip["beat_frames"],
         );
-        check_beats(name, &stages.beats, clip);
-        assert_eq!(
-            *features,
-            extractor.extract(&pcm).unwrap(),
-            "{name}: extract"
-        );
+        check_shortcuts(name, &mut extractor, &pcm, &stages);
     }
     checked.report("librosa 0.8.1");
     assert_eq!(set.clips().len(), 12);
-    assert_eq!(
-        [
-            "mfcc",
-            "mfcc_delta",
-            "chroma_cqt",
-            "onset_env",
-            "beats",
-            "tempogram"
-        ]
-        .map(|stage| checked.clips(stage)),
-        [12, 12, 12, 12, 12, 8]
-    );
+    checked.assert_clips(&[
+        ("mfcc", 12),
+        ("mfcc_delta", 12),
+        ("chroma_cqt", 12),
+        ("onset_env", 12),
+        ("beats", 12),
+        ("tempogram", 8),
+    ]);
+}
+
+/// Compares columns 0..54 of a clip in the older profile.
+fn compare_first_columns(
+    checked: &mut Checked,
+    clip: &str,
+    stages: &Stages,
+    expected: &Array2<f32>,
+    limits: &serde_json::Value,
+) {
+    assert_eq!(expected.dim(), (stages.features.nrows(), 54));
+    let limit = |stage: &str| limits[stage].as_f64().unwrap();
+    for (stage, range, limit) in [
+        ("mfcc", MFCC_COLUMNS, limit("mfcc")),
+        ("mfcc_delta", DELTA_COLUMNS, limit("mfcc_delta")),
+        // The bound for the decimation filter of 0.8.1 itself, which is the one used.
+        ("chroma_cqt", CHROMA_COLUMNS, 1e-3),
+        ("onset_env", ONSET_COLUMN..BEAT_COLUMN, limit("onset")),
+        ("beats", BEAT_COLUMN..54, limit("beats")),
+    ] {
+        let got = columns(&stages.features, range.clone());
+        let expected = columns(expected, range);
+        let frames = if stage == "chroma_cqt" {
+            frames_with_tone(&stages.cqt)
+        } else {
+            (0..expected.nrows()).collect()
+        };
+        checked.compare(
+            stage,
+            clip,
+            &got.select(Axis(0), &frames),
+            &expected.select(Axis(0), &frames),
+            Tolerance::absolute(limit),
+        );
+    }
 }
 
 /// Beats of six whole songs at both rates, from their golden envelopes, in both profiles.
@@ -253,6 +230,24 @@ fn golden_beats_of_whole_songs() {
     }
 }
 
+/// A resampled excerpt, from its samples at 3,840 Hz.
+#[test]
+fn golden_matrix_of_a_resampled_excerpt() {
+    let Some(folder) = common::shared("features/golden/resample_5s") else {
+        return;
+    };
+    let pcm = load_vector(&folder.join("mono_3840.npy"));
+    let mut extractor = FeatureExtractor::new(Rate::Conditioning, Profile::Librosa011);
+    let stages = extractor.extract_stages(&pcm).unwrap();
+    Checked::default().matrix(
+        "resample_5s",
+        &stages.features,
+        &load(&folder.join("features_3840.npy")),
+        &stages.cqt,
+        &golden::column_tolerances(),
+    );
+}
+
 /// Music of our own, which the repository holds: runs on a clone that stands alone.
 #[test]
 fn golden_clips_of_our_own() {
@@ -271,58 +266,79 @@ fn golden_clips_of_our_own() {
         for stage in clip["files"].as_array().unwrap() {
             let stage = stage.as_str().unwrap();
             let file = root.join(name).join(format!("{stage}.npy"));
-            let tolerance = golden::tolerance_of(stage);
-            let mut check = |got: &Array2<f32>, expected: &Array2<f32>| {
-                checked.compare(stage, name, got, expected, tolerance);
-            };
-            match stage {
-                "mel_db" => check(&stages.mel_db, &rows(&file)),
-                "harmonic" => check(&column(&stages.harmonic), &vector(&file)),
-                "percussive" => check(&column(&stages.percussive), &vector(&file)),
-                "cqt_mag" => check(&stages.cqt, &rows(&file)),
-                "onset_env" => check(&columns(&stages.features, 52..53), &vector(&file)),
-                "tuning" => check(&column(&[stages.tuning as f32]), &vector(&file)),
-                "tempo" => check(&column(&[stages.beats.tempo_bpm as f32]), &vector(&file)),
-                "features" => {
-                    let limits = golden::column_tolerances();
-                    checked.matrix(name, &stages.features, &load(&file), &stages.cqt, &limits);
-                }
-                unknown => panic!("{name}: no comparison for stage {unknown}"),
+            if stage == "features" {
+                let groups = golden::column_tolerances();
+                checked.matrix(name, &stages.features, &load(&file), &stages.cqt, &groups);
+            } else {
+                let tolerance = golden::tolerance_of(stage);
+                compare_stage(&mut checked, name, stage, &stages, &file, tolerance);
             }
         }
-        assert_eq!(
-            stages.tuning,
-            clip["tuning"].as_f64().unwrap(),
-            "{name}: tuning"
-        );
-        let frames: Vec<u64> = stages
-            .beats
-            .frames
-            .iter()
-            .map(|&frame| frame as u64)
-            .collect();
-        assert_eq!(frames, golden::integers(&clip["beats"]), "{name}: beats");
-        assert_eq!(
-            stages.features,
-            extractor.extract(&pcm).unwrap(),
-            "{name}: extract"
-        );
+        check_tuning(name, stages.tuning, clip);
+        check_beats(name, &stages.beats, &clip["tempo"], &clip["beats"]);
+        check_shortcuts(name, &mut extractor, &pcm, &stages);
     }
     checked.report("our own");
     assert_eq!(set.clips().len(), 2);
+    checked.assert_clips(&[
+        ("features", 2),
+        ("tuning", 2),
+        ("tempo", 2),
+        ("onset_env", 2),
+        ("mel_db", 1),
+        ("harmonic", 1),
+        ("percussive", 1),
+        ("cqt_mag", 1),
+    ]);
+}
+
+/// Compares one stage of a clip with its file.
+fn compare_stage(
+    checked: &mut Checked,
+    clip: &str,
+    stage: &str,
+    stages: &Stages,
+    file: &Path,
+    tolerance: Tolerance,
+) {
+    let features = &stages.features;
+    let (mut got, mut expected) = match stage {
+        "mel_db" => (stages.mel_db.clone(), rows(file)),
+        "mfcc" => (columns(features, MFCC_COLUMNS), rows(file)),
+        "mfcc_delta" => (columns(features, DELTA_COLUMNS), rows(file)),
+        "harmonic" => (column(&stages.harmonic), vector(file)),
+        "percussive" => (column(&stages.percussive), vector(file)),
+        "tuning" => (column(&[stages.tuning as f32]), vector(file)),
+        "cqt_mag" => (stages.cqt.clone(), rows(file)),
+        "chroma_cqt" => (columns(features, CHROMA_COLUMNS), rows(file)),
+        "onset_env" => (
+            columns(features, ONSET_COLUMN..ONSET_COLUMN + 1),
+            vector(file),
+        ),
+        "tempogram" => (columns(features, TEMPOGRAM_COLUMNS), rows(file)),
+        "tempo" => (column(&[stages.beats.tempo_bpm as f32]), vector(file)),
+        "beats" => (
+            columns(features, BEAT_COLUMN..BEAT_COLUMN + 1),
+            vector(file),
+        ),
+        unknown => panic!("{clip}: no comparison for stage {unknown}"),
+    };
+    if stage == "chroma_cqt" {
+        let frames = frames_with_tone(&stages.cqt);
+        got = got.select(Axis(0), &frames);
+        expected = expected.select(Axis(0), &frames);
+    }
+    checked.compare(stage, clip, &got, &expected, tolerance);
+}
+
+/// The shorter ways to a result give the same one.
+fn check_shortcuts(clip: &str, extractor: &mut FeatureExtractor, pcm: &[f32], stages: &Stages) {
     assert_eq!(
-        [
-            "features",
-            "tuning",
-            "tempo",
-            "onset_env",
-            "mel_db",
-            "harmonic",
-            "cqt_mag"
-        ]
-        .map(|stage| checked.clips(stage)),
-        [2, 2, 2, 2, 1, 1, 1]
+        stages.features,
+        extractor.extract(pcm).unwrap(),
+        "{clip}: extract"
     );
+    assert_eq!(stages.beats, extractor.beats(pcm).unwrap(), "{clip}: beats");
 }
 
 fn rate_of(clip: &serde_json::Value) -> Rate {
@@ -333,19 +349,24 @@ fn rate_of(clip: &serde_json::Value) -> Rate {
     }
 }
 
-fn check_beats(name: &str, beats: &Beats, clip: &serde_json::Value) {
-    let tempo = clip["tempo_bpm"].as_f64().unwrap();
+/// Exact: tunings are multiples of 0.01, and reading them from JSON may cost the last bit.
+fn check_tuning(name: &str, tuning: f64, clip: &serde_json::Value) {
+    let expected = clip["tuning"].as_f64().unwrap();
+    assert!(
+        (tuning - expected).abs() < 1e-12,
+        "{name}: tuning {tuning} instead of {expected}"
+    );
+}
+
+fn check_beats(clip: &str, beats: &Beats, tempo: &serde_json::Value, frames: &serde_json::Value) {
+    let tempo = tempo.as_f64().unwrap();
     assert!(
         (beats.tempo_bpm - tempo).abs() <= 1e-5 * tempo,
-        "{name}: tempo {} instead of {tempo}",
+        "{clip}: tempo {} instead of {tempo}",
         beats.tempo_bpm
     );
-    let frames: Vec<u64> = beats.frames.iter().map(|&frame| frame as u64).collect();
-    assert_eq!(
-        frames,
-        golden::integers(&clip["beat_frames"]),
-        "{name}: beats"
-    );
+    let got: Vec<u64> = beats.frames.iter().map(|&frame| frame as u64).collect();
+    assert_eq!(got, golden::integers(frames), "{clip}: beats");
 }
 
 /// A golden `[n, frames]` file as rows of frames.

@@ -1,5 +1,13 @@
 //! The motion chain against golden vectors and recordings.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "a test says what is wrong by failing"
+)]
+
+#[allow(unreachable_pub, reason = "shared by every test binary")]
 mod common;
 mod motion_support;
 

@@ -8,8 +8,8 @@ use super::{
     downmix::Downmix,
     gapless::Trim,
     limits::{SLACK_S, Watch},
-    sniff::Upload,
-    source::Packets,
+    sniff::{Container, Upload},
+    source::{Packets, ogg_is_whole},
 };
 
 /// What one call of the decoder is to do.
@@ -43,7 +43,10 @@ pub(super) fn decode_packets(
     let mut tally = Tally::default();
     let mut sink: Option<Sink<'_>> = None;
     while let Some(packet) = packets.next(job.watch)? {
-        let seconds = packets.track.seconds(&packet);
+        let missing_s = packets.seconds_lost_before(&packet);
+        if missing_s > 0.0 {
+            tally.lose(missing_s, "packets are missing", sink.as_mut())?;
+        }
         match decoder.decode(&packet) {
             Ok(buffer) => {
                 tally.good += 1;
@@ -51,18 +54,17 @@ pub(super) fn decode_packets(
                 if buffer.frames() == 0 {
                     continue;
                 }
+                job.limits.check_format(rate, channels)?;
                 let sink = match &mut sink {
                     Some(sink) => sink,
                     none => {
-                        job.limits.check_format(rate, channels)?;
-                        let mut new = Sink::new(Trim::plan(upload, &packets.track, rate), job);
-                        new.start(rate, channels);
+                        let trim = Trim::plan(upload, &packets.track, rate);
+                        let mut new = Sink::new(trim, rate, channels, job);
                         new.silence(tally.lost_in_front_s)?;
                         none.insert(new)
                     }
                 };
                 sink.check_same_rate(rate, upload)?;
-                job.limits.check_format(rate, channels)?;
                 sink.take(downmix.mix(&buffer))?;
             }
             Err(SymphoniaError::ResetRequired) => {
@@ -70,20 +72,37 @@ pub(super) fn decode_packets(
                 break;
             }
             Err(error) => {
-                tally.damaged += 1;
-                tally.last_fault = Some(error.to_string());
-                // Silence in place of the lost packet keeps the beats where they are.
-                match &mut sink {
-                    Some(sink) => sink.silence(seconds)?,
-                    None => tally.lost_in_front_s += seconds,
-                }
+                let seconds = packets.track.seconds(&packet);
+                tally.lose(seconds, &error.to_string(), sink.as_mut())?;
             }
         }
         if sink.as_ref().is_some_and(Sink::is_done) {
             break;
         }
     }
+    let ogg_cut = upload.container == Container::Ogg && !ogg_is_whole(&upload.bytes);
+    packets.ending.cut_off |= ogg_cut;
     finish(sink, &packets, &tally, &downmix, job)
+}
+
+impl Tally {
+    /// Counts a lost packet. Silence in its place keeps the beats behind it where they are.
+    fn lose(
+        &mut self,
+        seconds: f64,
+        fault: &str,
+        sink: Option<&mut Sink<'_>>,
+    ) -> Result<(), AudioError> {
+        self.damaged += 1;
+        self.last_fault = Some(fault.to_owned());
+        match sink {
+            Some(sink) => sink.silence(seconds),
+            None => {
+                self.lost_in_front_s += seconds;
+                Ok(())
+            }
+        }
+    }
 }
 
 /// Judges what was decoded and puts the result together.
@@ -122,7 +141,7 @@ fn finish(
     if tally.damaged > 0 {
         let count = tally.damaged;
         warnings.push(format!(
-            "{count} damaged packets were skipped and replaced by silence"
+            "damaged packets were skipped and replaced by silence, in {count} place(s)"
         ));
     }
     if downmix.impossible > 0 {
@@ -150,8 +169,10 @@ fn cut_short(packets: &Packets, sink: &Sink<'_>) -> Option<String> {
     });
     match declared {
         Some(declared) if declared > held + NOTICEABLE_S => Some(format!(
-            "the file is cut short: it says {declared:.1} s of audio and holds {held:.1} s"
+            "the file is cut short or damaged: it says {declared:.1} s of audio and holds {held:.1} s"
         )),
+        // A WAV written to a pipe states no length and simply ends.
+        None if packets.container == Container::Wav => None,
         _ if packets.ending.cut_off || packets.ending.faults > 0 => Some(format!(
             "the file is damaged or cut short after {held:.1} s of audio"
         )),
@@ -172,7 +193,7 @@ struct Sink<'job> {
 }
 
 /// The wanted part in frames of the upload.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 struct Window {
     first: u64,
     end: Option<u64>,
@@ -200,31 +221,24 @@ impl Window {
 }
 
 impl<'job> Sink<'job> {
-    fn new(trim: Trim, job: &'job Job<'job>) -> Self {
-        Self {
-            job,
-            trim,
-            rate: 1,
-            channels: 0,
-            received: 0,
-            window: Window::default(),
-            outputs: Vec::new(),
-        }
-    }
-
     /// Plans for the format that the first packet has.
-    fn start(&mut self, rate: u32, channels: usize) {
+    fn new(trim: Trim, rate: u32, channels: usize, job: &'job Job<'job>) -> Self {
         let frames = |seconds: f64| (seconds * f64::from(rate)).round() as u64;
-        let range = self.job.range;
-        self.rate = rate;
-        self.channels = channels;
-        self.window = Window {
-            first: frames(range.offset_s),
-            end: range.duration_s.map(|_| frames(range.end_s())),
+        let window = Window {
+            first: frames(job.range.offset_s),
+            end: job.range.duration_s.map(|_| frames(job.range.end_s())),
             position: 0,
         };
         let plan = |&to: &u32| (Resampler::new(rate, to), Vec::new());
-        self.outputs = self.job.rates.iter().map(plan).collect();
+        Self {
+            job,
+            trim,
+            rate,
+            channels,
+            received: 0,
+            window,
+            outputs: job.rates.iter().map(plan).collect(),
+        }
     }
 
     fn check_same_rate(&self, rate: u32, upload: &Upload) -> Result<(), AudioError> {

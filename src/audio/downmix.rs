@@ -31,7 +31,7 @@ impl Downmix {
                 .map(|frame| frame.iter().sum::<f32>() * share),
         );
         for sample in &mut self.mono {
-            if !(sample.abs() <= LOUDEST) {
+            if sample.is_nan() || sample.abs() > LOUDEST {
                 *sample = 0.0;
                 self.impossible += 1;
             }

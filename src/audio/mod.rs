@@ -4,6 +4,7 @@ mod decode;
 mod downmix;
 mod error;
 mod gapless;
+mod kernel;
 mod limits;
 mod mp4;
 mod resample;
@@ -83,8 +84,9 @@ pub struct DecodedAudio {
 ///
 /// The container is told from the bytes. Outside the used range the signals are zero, as at the
 /// ends of a file; encoder delay and padding are taken off; damaged packets become silence. Beyond
-/// the outputs (`4 * duration * rate` bytes per rate) memory stays below about 16 MiB, whatever
-/// the file declares or holds.
+/// the outputs (`4 * duration * rate` bytes per rate) nothing grows with the length of the audio:
+/// there is one packet, and one filter table per rate (usually 0.7 MiB, at most 4 MiB; the last 8
+/// are kept for later calls).
 ///
 /// `max_seconds` counts from the start of the file to the end of the range, because what lies in
 /// front of the range is decoded as well; what lies behind it is never decoded and not counted.

@@ -118,3 +118,96 @@ fn u32_be(bytes: &[u8], at: usize) -> Option<u32> {
 fn u64_be(bytes: &[u8], at: usize) -> Option<u64> {
     Some(u64::from_be_bytes(*bytes.get(at..)?.first_chunk()?))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn atom(kind: &[u8; 4], parts: &[&[u8]]) -> Vec<u8> {
+        let payload = parts.concat();
+        let size = u32::try_from(payload.len() + 8).unwrap();
+        [&size.to_be_bytes(), kind.as_slice(), &payload].concat()
+    }
+
+    fn words(values: &[u32]) -> Vec<u8> {
+        values
+            .iter()
+            .flat_map(|value| value.to_be_bytes())
+            .collect()
+    }
+
+    /// A movie of 1000 ticks a second with one track (id 1, 44.1 kHz) with these edits.
+    fn movie(edits: &[[u32; 3]], tags: &[u8]) -> Vec<u8> {
+        let entries: Vec<u32> = edits.iter().flatten().copied().collect();
+        let count = u32::try_from(edits.len()).unwrap();
+        let list = atom(b"elst", &[&words(&[0, count]), &words(&entries)]);
+        let header = atom(b"mdhd", &[&words(&[0, 0, 0, 44_100, 0])]);
+        let track = atom(
+            b"trak",
+            &[
+                &atom(b"tkhd", &[&words(&[0, 0, 0, 1, 0])]),
+                &atom(b"edts", &[&list]),
+                &atom(b"mdia", &[&header]),
+            ],
+        );
+        let mvhd = atom(b"mvhd", &[&words(&[0, 0, 0, 1_000, 0])]);
+        [
+            atom(b"ftyp", &[b"M4A "]),
+            atom(b"moov", &[&mvhd, &track, tags]),
+        ]
+        .concat()
+    }
+
+    #[test]
+    fn the_edit_list_gives_start_and_length() {
+        let file = movie(&[[30_000, 1_024, 0x1_0000]], &[]);
+        let found = audible(&file, 1, 44_100).unwrap();
+        assert_eq!(found.start_s, 1_024.0 / 44_100.0);
+        assert_eq!(found.length_s, Some(30.0));
+        assert_eq!(audible(&file, 2, 44_100), None, "another track");
+    }
+
+    #[test]
+    fn empty_and_several_edits_give_the_start_alone() {
+        let empty = [500, u32::MAX, 0x1_0000];
+        let file = movie(
+            &[empty, [1_000, 2_048, 0x1_0000], [1_000, 99_000, 0x1_0000]],
+            &[],
+        );
+        let found = audible(&file, 1, 44_100).unwrap();
+        assert_eq!((found.start_s, found.length_s), (2_048.0 / 44_100.0, None));
+    }
+
+    #[test]
+    fn the_itunes_tag_comes_first() {
+        let text = b" 00000000 00000840 000001CA 00000000003F31F6 00000000";
+        let item = atom(
+            b"----",
+            &[
+                &atom(b"mean", &[&words(&[0]), b"com.apple.iTunes"]),
+                &atom(b"name", &[&words(&[0]), b"iTunSMPB"]),
+                &atom(b"data", &[&words(&[1, 0]), text]),
+            ],
+        );
+        let meta = atom(b"meta", &[&words(&[0]), &atom(b"ilst", &[&item])]);
+        let file = movie(&[[30_000, 1_024, 0x1_0000]], &atom(b"udta", &[&meta]));
+        let found = audible(&file, 1, 44_100).unwrap();
+        assert_eq!(found.start_s, 2_112.0 / 44_100.0);
+        assert_eq!(found.length_s, Some(f64::from(0x3f_31f6) / 44_100.0));
+    }
+
+    #[test]
+    fn damage_is_no_more_than_nothing_known() {
+        let file = movie(&[[30_000, 1_024, 0x1_0000]], &[]);
+        for end in 0..file.len() {
+            audible(&file[..end], 1, 44_100);
+        }
+        for at in 0..file.len() {
+            for value in [0, 1, 0xff] {
+                let mut file = file.clone();
+                file[at] = value;
+                audible(&file, 1, 44_100);
+            }
+        }
+    }
+}

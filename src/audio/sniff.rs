@@ -121,7 +121,7 @@ fn ogg_codec(bytes: &[u8]) -> Result<(), AudioError> {
         p if p.starts_with(b"\x7fFLAC") => "FLAC (send it as a native .flac file)",
         p if p.starts_with(b"Speex") => "Speex",
         p if p.starts_with(b"\x80theora") => "Theora video",
-        [] => {
+        p if p.len() < b"OpusHead".len() => {
             return Err(AudioError::Malformed {
                 container: Container::Ogg,
                 reason: "it ends inside its first page".to_owned(),

@@ -10,14 +10,17 @@ use symphonia::{
             CodecParameters,
             audio::{
                 AudioCodecParameters, AudioDecoder, AudioDecoderOptions, CODEC_ID_NULL_AUDIO,
-                well_known::CODEC_ID_AAC,
+                well_known::{
+                    CODEC_ID_AAC, CODEC_ID_AC3, CODEC_ID_ADPCM_IMA_WAV, CODEC_ID_ADPCM_MS,
+                    CODEC_ID_ALAC, CODEC_ID_EAC3, CODEC_ID_OPUS,
+                },
             },
         },
         errors::Error as SymphoniaError,
         formats::{FormatOptions, FormatReader, TrackType},
         io::{MediaSource, MediaSourceStream, ReadBytes},
         packet::Packet,
-        units::TimeBase,
+        units::{Duration, TimeBase, Timestamp},
     },
     default::{
         formats::{FlacReader, IsoMp4Reader, MpaReader, OggReader, WavReader},
@@ -78,10 +81,13 @@ pub(super) struct TrackInfo {
 impl TrackInfo {
     /// Seconds that a packet says it lasts.
     pub(super) fn seconds(&self, packet: &Packet) -> f64 {
-        let Some(base) = self.time_base else {
-            return 0.0;
-        };
-        packet.dur.get() as f64 * f64::from(base.numer.get()) / f64::from(base.denom.get())
+        self.in_seconds(packet.dur)
+    }
+
+    fn in_seconds(&self, duration: Duration) -> f64 {
+        self.time_base.map_or(0.0, |base| {
+            duration.get() as f64 * f64::from(base.numer.get()) / f64::from(base.denom.get())
+        })
     }
 }
 
@@ -102,6 +108,8 @@ pub(super) struct Packets {
     pub(super) container: Container,
     pub(super) track: TrackInfo,
     pub(super) ending: Ending,
+    /// Where the next packet of a FLAC file should start, in its time base.
+    expected: Option<Timestamp>,
     /// Payload bytes that the file may still yield: a file's packets cannot be larger than the
     /// file, unless its tables point at the same bytes again and again.
     allowance: usize,
@@ -118,6 +126,7 @@ impl Packets {
             container,
             track,
             ending: Ending::default(),
+            expected: None,
             allowance: upload.bytes.len().saturating_mul(2).saturating_add(65_536),
         })
     }
@@ -134,6 +143,18 @@ impl Packets {
                 },
                 other => refusal(self.container, &other),
             })
+    }
+
+    /// Seconds missing between the packet before `packet` and itself. The FLAC reader drops frames
+    /// with a wrong checksum without a word, but every frame carries its position.
+    pub(super) fn seconds_lost_before(&mut self, packet: &Packet) -> f64 {
+        if self.container != Container::Flac {
+            return 0.0;
+        }
+        let expected = self.expected.replace(packet.pts.saturating_add(packet.dur));
+        expected
+            .and_then(|expected| packet.pts.duration_from(expected))
+            .map_or(0.0, |gap| self.track.in_seconds(gap))
     }
 
     /// The next packet of the track; `None` at the end, however the file ended.
@@ -227,6 +248,7 @@ fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackI
 
 /// The codec in words: symphonia names only what it was built with.
 fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
+<<<<<<< HEAD
     if parameters.codec == CODEC_ID_AAC {
         "AAC of another profile than LC with 1 or 2 channels (HE-AAC, for example)".to_owned()
     } else if let Some(decoder) = get_codecs().get_audio_decoder(parameters.codec) {
@@ -242,6 +264,26 @@ fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
             parameters.codec
         )
     }
+=======
+    let words = match parameters.codec {
+        CODEC_ID_AAC => "AAC of another profile than LC with 1 or 2 channels (HE-AAC, for example)",
+        CODEC_ID_ALAC => "Apple Lossless (ALAC)",
+        CODEC_ID_OPUS => "Opus",
+        CODEC_ID_AC3 | CODEC_ID_EAC3 => "Dolby Digital (AC-3)",
+        CODEC_ID_ADPCM_MS | CODEC_ID_ADPCM_IMA_WAV => "ADPCM (only PCM samples are read)",
+        CODEC_ID_NULL_AUDIO => "an unknown codec",
+        other => {
+            return match get_codecs().get_audio_decoder(other) {
+                Some(decoder) => format!(
+                    "{} in a form that is not supported ({reason})",
+                    decoder.codec.info.long_name
+                ),
+                None => format!("a codec without a decoder here (number {other})"),
+            };
+        }
+    };
+    words.to_owned()
+>>>>>>> wip-audio
 }
 
 /// What an error while reading the headers means.
@@ -266,4 +308,26 @@ pub(super) fn refusal(container: Container, error: &SymphoniaError) -> AudioErro
             reason: other.to_string(),
         },
     }
+}
+
+/// Whether an Ogg file ends with a whole page that is marked as the last one: nothing else in it
+/// tells that it was cut.
+pub(super) fn ogg_is_whole(bytes: &[u8]) -> bool {
+    const HEADER: usize = 27;
+    const LARGEST_PAGE: usize = HEADER + 255 + 255 * 255;
+    const LAST_PAGE: u8 = 4;
+    let tail = &bytes[bytes.len().saturating_sub(LARGEST_PAGE)..];
+    let Some(start) = tail.windows(4).rposition(|part| part == b"OggS") else {
+        return false;
+    };
+    let page = &tail[start..];
+    let Some((header, rest)) = page.split_at_checked(HEADER) else {
+        return false;
+    };
+    let segments = usize::from(header[HEADER - 1]);
+    let length = rest.get(..segments).map(|sizes| {
+        let body: usize = sizes.iter().map(|&size| usize::from(size)).sum();
+        HEADER + segments + body
+    });
+    header[5] & LAST_PAGE != 0 && length.is_some_and(|length| page.len() >= length)
 }

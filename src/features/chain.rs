@@ -98,14 +98,28 @@ impl Chain {
     pub(super) fn timbre(&self, mel_db: &Array2<f32>, features: &mut Array2<f32>) {
         let mut cepstrum = Array2::zeros((mel_db.nrows(), MFCC_COLUMNS.len()));
         for (mel_db, mut cepstrum) in mel_db.rows().into_iter().zip(cepstrum.rows_mut()) {
-            self.mfcc.frame(mel_db, cepstrum.iter_mut());
+            self.mfcc.frame(&mel_db, cepstrum.iter_mut());
         }
         columns(features, MFCC_COLUMNS).assign(&cepstrum);
-        delta(cepstrum.view(), columns(features, DELTA_COLUMNS));
+        delta(&cepstrum, &mut columns(features, DELTA_COLUMNS));
     }
 
-    /// Tuning of the harmonic part.
-    pub(super) fn tuning(&mut self, harmonic: &[f32]) -> f64 {
+    /// Columns 40..52, and the tuning and constant-Q magnitudes that they come from.
+    pub(super) fn harmony(
+        &mut self,
+        harmonic: &[f32],
+        features: &mut Array2<f32>,
+    ) -> (f64, Array2<f32>) {
+        let tuning = self.tuning(harmonic);
+        let cqt = self.cqt(harmonic, tuning);
+        let mut columns = columns(features, CHROMA_COLUMNS);
+        for (cqt, mut chroma) in cqt.rows().into_iter().zip(columns.rows_mut()) {
+            chroma::frame(cqt.iter(), chroma.iter_mut());
+        }
+        (tuning, cqt)
+    }
+
+    fn tuning(&mut self, harmonic: &[f32]) -> f64 {
         self.tuner.start();
         for row in 0..row_count(harmonic.len()) {
             self.analyse(harmonic, row);
@@ -119,12 +133,23 @@ impl Chain {
         self.cqt.magnitudes(harmonic, tuning)
     }
 
-    /// Columns 40..52.
-    pub(super) fn chroma(&self, cqt: &Array2<f32>, features: &mut Array2<f32>) {
-        let mut columns = columns(features, CHROMA_COLUMNS);
-        for (cqt, mut chroma) in cqt.rows().into_iter().zip(columns.rows_mut()) {
-            chroma::frame(cqt.iter(), chroma.iter_mut());
+    /// Columns 52..438, and the beats.
+    pub(super) fn rhythm(&mut self, percussive: &[f32], features: &mut Array2<f32>) -> Beats {
+        let onset = self.onset(percussive);
+        let beats = self.beats(&onset);
+        for (feature, &strength) in features.column_mut(ONSET_COLUMN).iter_mut().zip(&onset) {
+            *feature = strength;
         }
+        for &beat in &beats.frames {
+            features[[beat, BEAT_COLUMN]] = 1.0;
+        }
+        let mut columns = columns(features, TEMPOGRAM_COLUMNS);
+        self.tempogram.for_each_row(&onset, |row, lags| {
+            for (feature, &lag) in columns.row_mut(row).iter_mut().zip(lags) {
+                *feature = lag as f32;
+            }
+        });
+        beats
     }
 
     /// Onset envelope of the percussive part.
@@ -141,22 +166,6 @@ impl Chain {
                 frames: self.beats.track(onset, tempo.period),
             },
         }
-    }
-
-    /// Columns 52..438.
-    pub(super) fn rhythm(&mut self, onset: &[f32], beats: &Beats, features: &mut Array2<f32>) {
-        for (feature, &strength) in features.column_mut(ONSET_COLUMN).iter_mut().zip(onset) {
-            *feature = strength;
-        }
-        for &beat in &beats.frames {
-            features[[beat, BEAT_COLUMN]] = 1.0;
-        }
-        let mut columns = columns(features, TEMPOGRAM_COLUMNS);
-        self.tempogram.for_each_row(onset, |row, lags| {
-            for (feature, &lag) in columns.row_mut(row).iter_mut().zip(lags) {
-                *feature = lag as f32;
-            }
-        });
     }
 
     fn analyse(&mut self, signal: &[f32], row: usize) {

@@ -38,10 +38,11 @@ impl Decimator {
         let mut halved: Vec<f32> = (0..signal.len().div_ceil(2))
             .map(|output| self.filter(signal, 2 * output) * SQRT_2 as f32)
             .collect();
-        if self.drops_odd_end && !signal.len().is_multiple_of(2) {
-            if let Some(last) = halved.last_mut() {
-                *last = 0.0;
-            }
+        if self.drops_odd_end
+            && !signal.len().is_multiple_of(2)
+            && let Some(last) = halved.last_mut()
+        {
+            *last = 0.0;
         }
         halved
     }

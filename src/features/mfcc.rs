@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use ndarray::{ArrayView1, ArrayView2, ArrayViewMut2};
+use ndarray::{ArrayRef1, ArrayRef2};
 
 use super::mel::BANDS;
 
@@ -31,7 +31,7 @@ impl Mfcc {
     /// Coefficients of one frame of mel decibels.
     pub(super) fn frame<'out>(
         &self,
-        mel_db: ArrayView1<'_, f32>,
+        mel_db: &ArrayRef1<f32>,
         coefficients: impl IntoIterator<Item = &'out mut f32>,
     ) {
         for (coefficient, basis) in coefficients.into_iter().zip(&self.basis) {
@@ -47,7 +47,7 @@ impl Mfcc {
 
 /// Slope over three rows of `[T, n]` values (Savitzky-Golay, degree 1); the first and the last row
 /// repeat their neighbours. `T` is at least 3.
-pub(super) fn delta(values: ArrayView2<'_, f32>, mut slopes: ArrayViewMut2<'_, f32>) {
+pub(super) fn delta(values: &ArrayRef2<f32>, slopes: &mut ArrayRef2<f32>) {
     let rows = values.nrows();
     for row in 0..rows {
         let middle = row.clamp(1, rows - 2);
@@ -68,14 +68,14 @@ mod tests {
     fn a_constant_and_a_cosine_give_one_coefficient_each() {
         let mfcc = Mfcc::new();
         let mut got = [0.0; COEFFICIENTS];
-        mfcc.frame(aview1(&[-8.0; BANDS]), &mut got);
+        mfcc.frame(&aview1(&[-8.0; BANDS]), &mut got);
         assert!((got[0] + 8.0 * 128.0_f32.sqrt()).abs() < 1e-4);
         assert!(got[1..].iter().all(|c| c.abs() < 1e-5));
 
         let cosine: Vec<f32> = (0..BANDS)
             .map(|n| (PI * 5.0 * (2 * n + 1) as f64 / 256.0).cos() as f32)
             .collect();
-        mfcc.frame(aview1(&cosine), &mut got);
+        mfcc.frame(&aview1(&cosine), &mut got);
         // Orthonormal rows: the cosine's norm is sqrt(64).
         assert!((got[5] - 8.0).abs() < 1e-5);
         assert!(
@@ -89,7 +89,7 @@ mod tests {
     fn slopes_are_central_and_repeat_at_the_edges() {
         let values = array![[0.0], [1.0], [4.0], [9.0]];
         let mut slopes = Array2::zeros((4, 1));
-        delta(values.view(), slopes.view_mut());
+        delta(&values, &mut slopes);
         assert_eq!(slopes, array![[2.0], [2.0], [4.0], [4.0]]);
     }
 }

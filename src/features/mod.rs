@@ -164,13 +164,9 @@ impl FeatureExtractor {
         let (split, mel_db) = self.chain.split(pcm);
         self.chain.timbre(&mel_db, &mut features);
         drop(mel_db);
-        let onset = self.chain.onset(&split.percussive);
+        self.chain.rhythm(&split.percussive, &mut features);
         drop(split.percussive);
-        let beats = self.chain.beats(&onset);
-        self.chain.rhythm(&onset, &beats, &mut features);
-        let tuning = self.chain.tuning(&split.harmonic);
-        let cqt = self.chain.cqt(&split.harmonic, tuning);
-        self.chain.chroma(&cqt, &mut features);
+        self.chain.harmony(&split.harmonic, &mut features);
         Ok(features)
     }
 
@@ -182,12 +178,8 @@ impl FeatureExtractor {
         let mut features = self.blank_features(pcm)?;
         let (split, mel_db) = self.chain.split(pcm);
         self.chain.timbre(&mel_db, &mut features);
-        let onset = self.chain.onset(&split.percussive);
-        let beats = self.chain.beats(&onset);
-        self.chain.rhythm(&onset, &beats, &mut features);
-        let tuning = self.chain.tuning(&split.harmonic);
-        let cqt = self.chain.cqt(&split.harmonic, tuning);
-        self.chain.chroma(&cqt, &mut features);
+        let beats = self.chain.rhythm(&split.percussive, &mut features);
+        let (tuning, cqt) = self.chain.harmony(&split.harmonic, &mut features);
         Ok(Stages {
             mel_db,
             harmonic: split.harmonic,
@@ -266,7 +258,8 @@ fn check(pcm: &[f32]) -> Result<(), FeatureError> {
             needed: MIN_ROWS,
         });
     }
-    match pcm.iter().position(|sample| !(sample.abs() <= LOUDEST)) {
+    let is_sound = |sample: &f32| (-LOUDEST..=LOUDEST).contains(sample);
+    match pcm.iter().position(|sample| !is_sound(sample)) {
         None => Ok(()),
         Some(index) if pcm[index].is_finite() => Err(FeatureError::OutOfRange {
             index,
@@ -286,13 +279,11 @@ mod tests {
 
     #[test]
     fn fewer_than_three_rows_are_refused() {
-        let expected = |rows| Err(FeatureError::TooShort { rows, needed: 3 });
-        assert_eq!(extractor().extract(&[0.1; 1_023]), expected(2));
-        assert_eq!(extractor().extract(&[]), expected(1));
-        assert_eq!(
-            extractor().beats(&[0.1; 511]).map(|_| ()),
-            expected(1).map(|_: Array2<f32>| ())
-        );
+        let too_short = |rows| FeatureError::TooShort { rows, needed: 3 };
+        assert_eq!(extractor().extract(&[0.1; 1_023]), Err(too_short(2)));
+        assert_eq!(extractor().extract(&[]), Err(too_short(1)));
+        assert_eq!(extractor().beats(&[0.1; 511]), Err(too_short(1)));
+        assert_eq!(extractor().cqt(&[0.1; 511], 0.0), Err(too_short(1)));
         let features = extractor().extract(&[0.1; 1_024]).unwrap();
         assert_eq!(features.dim(), (3, COLUMNS));
     }

@@ -58,6 +58,10 @@ pub struct Finished {
 /// # Errors
 /// [`MotionError::FrameRate`] for a rate that is not offered, [`MotionError::Shape`] if the columns
 /// are not the skeleton's, [`MotionError::NotFinite`] for a NaN or an infinity.
+#[expect(
+    clippy::needless_pass_by_value,
+    reason = "a view is a reference already"
+)]
 pub fn finish(
     decoded: ArrayView2<'_, f32>,
     skeleton: &Skeleton,

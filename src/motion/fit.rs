@@ -41,7 +41,7 @@ pub(super) fn best_rotation(pairs: impl Iterator<Item = (DVec3, DVec3)>, previou
     for (_, vector) in values.iter().zip(vectors).filter(|(v, _)| admissible(v)) {
         let [x, y, z, w] = vector;
         let vector = DQuat::from_xyzw(x, y, z, w);
-        sum = sum + vector * vector.dot(previous);
+        sum += vector * vector.dot(previous);
         fallback = vector;
     }
     // A single admissible vector at right angles to `previous` projects to nothing.
@@ -79,18 +79,16 @@ fn rotate(a: &mut [[f64; 4]; 4], vectors: &mut [[f64; 4]; 4], p: usize, q: usize
     let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
     let c = t.hypot(1.0).recip();
     let s = t * c;
-    for k in 0..4 {
-        let (kp, kq) = (a[k][p], a[k][q]);
-        a[k][p] = c * kp - s * kq;
-        a[k][q] = s * kp + c * kq;
+    let turned = |x: f64, y: f64| (c * x - s * y, s * x + c * y);
+    for row in a.iter_mut() {
+        (row[p], row[q]) = turned(row[p], row[q]);
     }
-    for k in 0..4 {
-        let (pk, qk) = (a[p][k], a[q][k]);
-        a[p][k] = c * pk - s * qk;
-        a[q][k] = s * pk + c * qk;
-        let (vp, vq) = (vectors[p][k], vectors[q][k]);
-        vectors[p][k] = c * vp - s * vq;
-        vectors[q][k] = s * vp + c * vq;
+    for rows in [&mut *a, vectors] {
+        let (mut row_p, mut row_q) = (rows[p], rows[q]);
+        for (x, y) in row_p.iter_mut().zip(&mut row_q) {
+            (*x, *y) = turned(*x, *y);
+        }
+        (rows[p], rows[q]) = (row_p, row_q);
     }
     a[p][q] = 0.0;
     a[q][p] = 0.0;

@@ -206,131 +206,29 @@ proptest! {
     }
 }
 
-mod floor {
-    use super::*;
-
-    const FPS: usize = 60;
-
-    /// Lower foot of a dancer who steps: it rests on the floor between short lifts.
-    fn steps(seconds: usize) -> Vec<f32> {
-        (0..seconds * FPS)
-            .map(|i| STANDING_HEIGHT + 0.04 * (i as f32 * 0.11).sin().max(0.0))
-            .collect()
-    }
-
-    /// Largest distance of the 5th percentile from the standing height in any 5 s.
-    fn worst(heights: &[f32]) -> f32 {
-        heights
-            .windows((5 * FPS).min(heights.len()))
-            .map(|window| {
-                let mut sorted = window.to_vec();
-                sorted.sort_by(f32::total_cmp);
-                let place = 0.05 * (sorted.len() - 1) as f32;
-                let (low, part) = (place as usize, place.fract());
-                let high = sorted[(low + 1).min(sorted.len() - 1)];
-                (sorted[low] + part * (high - sorted[low]) - STANDING_HEIGHT).abs()
-            })
-            .fold(0.0, f32::max)
-    }
-
-    fn corrected(heights: &[f32]) -> Vec<f32> {
-        let lift = floor_correction(heights, FPS as u32);
-        heights.iter().zip(lift).map(|(h, l)| h + l).collect()
-    }
-
-    #[test]
-    fn slow_drifts_are_removed() {
-        type Drift = fn(f32) -> f32;
-        let drifts: [(&str, Drift); 6] = [
-            ("none", |_| 0.0),
-            ("level", |_| -0.4),
-            ("ramp up", |s| 0.1 * s),
-            ("ramp down", |s| -0.15 * s),
-            ("slow sine", |s| 0.3 * (s * 0.4).sin()),
-            ("growing sine", |s| 0.02 * s * (s * 0.5).cos()),
-        ];
-        for (name, drift) in drifts {
-            for seconds in [6, 10, 31, 60] {
-                let mut heights = steps(seconds);
-                for (i, h) in heights.iter_mut().enumerate() {
-                    *h += drift(i as f32 / FPS as f32);
-                }
-                let worst = worst(&corrected(&heights));
-                assert!(worst < 0.02, "{name}, {seconds} s: {worst} m");
-            }
+#[test]
+fn a_dancer_who_only_squats_is_left_alone() {
+    let skeleton = skeleton();
+    // Feet stay where they are while the pelvis goes down and up.
+    let still = Animation {
+        fps: 60,
+        root: vec![Vec3::ZERO; 900],
+        rotations: vec![vec![Quat::IDENTITY; 24]; 900],
+    };
+    let mut positions = forward(&skeleton, &still).unwrap();
+    let lowest = positions[[0, 11, 1]].min(positions[[0, 10, 1]]);
+    for (i, mut pose) in positions.outer_iter_mut().enumerate() {
+        let squat = 0.35 * (i as f32 * 0.01).sin().powi(2);
+        for mut joint in pose.outer_iter_mut() {
+            joint[1] += STANDING_HEIGHT - lowest;
+        }
+        for joint in [0, 1, 2, 3, 6, 9, 12, 15] {
+            pose[[joint, 1]] -= squat;
         }
     }
-
-    #[test]
-    fn short_motions_and_single_frames_stand_too() {
-        for frames in [1, 2, 8, 59, 150, 299] {
-            let heights: Vec<f32> = steps(5)[..frames].iter().map(|h| h - 0.7).collect();
-            assert!(worst(&corrected(&heights)) < 0.02, "{frames} frames");
-        }
-        assert!(floor_correction(&[], 60).is_empty());
-    }
-
-    #[test]
-    fn a_leap_keeps_its_height() {
-        let mut heights = steps(20);
-        let leap = 10 * FPS..10 * FPS + 54;
-        for (i, frame) in leap.clone().enumerate() {
-            // Nine tenths of a second in the air, 30 cm high.
-            heights[frame] = STANDING_HEIGHT + 0.3 * (i as f32 / 54.0 * std::f32::consts::PI).sin();
-        }
-        let after = corrected(&heights);
-        let top = after[leap].iter().copied().fold(0.0, f32::max);
-        assert!((top - 0.3 - STANDING_HEIGHT).abs() < 0.02, "{top} m");
-        assert!(worst(&after) < 0.02);
-    }
-
-    #[test]
-    fn the_correction_is_slow_and_smooth() {
-        let mut heights = steps(30);
-        for (i, h) in heights.iter_mut().enumerate() {
-            *h += 0.2 * (i as f32 / FPS as f32 * 0.5).sin();
-        }
-        let lift = floor_correction(&heights, FPS as u32);
-        for three in lift.windows(3) {
-            let per_frame = (three[1] - three[0]).abs();
-            let change = (three[2] - 2.0 * three[1] + three[0]).abs();
-            assert!(
-                per_frame * (FPS as f32) < 0.4,
-                "{} m/s",
-                per_frame * FPS as f32
-            );
-            assert!(
-                change * ((FPS * FPS) as f32) < 1.5,
-                "{} m/s^2",
-                change * (FPS * FPS) as f32
-            );
-        }
-    }
-
-    #[test]
-    fn a_dancer_who_only_squats_is_left_alone() {
-        let skeleton = skeleton();
-        // Feet stay where they are while the pelvis goes down and up.
-        let still = Animation {
-            fps: 60,
-            root: vec![Vec3::ZERO; 900],
-            rotations: vec![vec![Quat::IDENTITY; 24]; 900],
-        };
-        let mut positions = forward(&skeleton, &still).unwrap();
-        let lowest = positions[[0, 11, 1]].min(positions[[0, 10, 1]]);
-        for (i, mut pose) in positions.outer_iter_mut().enumerate() {
-            let squat = 0.35 * (i as f32 * 0.01).sin().powi(2);
-            for mut joint in pose.outer_iter_mut() {
-                joint[1] += STANDING_HEIGHT - lowest;
-            }
-            for joint in [0, 1, 2, 3, 6, 9, 12, 15] {
-                pose[[joint, 1]] -= squat;
-            }
-        }
-        let heights = lower_foot_heights(&positions, &skeleton);
-        let lift = floor_correction(&heights, 60);
-        assert!(lift.iter().all(|l| l.abs() < 1e-3));
-    }
+    let heights = lower_foot_heights(&positions, &skeleton);
+    let lift = floor_correction(&heights, 60);
+    assert!(lift.iter().all(|l| l.abs() < 1e-3));
 }
 
 mod finished {
@@ -385,10 +283,8 @@ mod finished {
             let done = finish(decoded.view(), &skeleton(), &options).unwrap();
             assert_eq!(done.source, PositionsSource::ForwardKinematics);
             assert_eq!(done.positions.dim(), (frames, 24, 3));
-            assert_eq!(
-                done.positions,
-                forward(&skeleton(), &done.animation).unwrap()
-            );
+            let again = forward(&skeleton(), &done.animation).unwrap();
+            assert!(furthest(&done.positions, &again) < 1e-5);
         }
         let options = FinishOptions {
             fps: 25,

@@ -1,7 +1,7 @@
 //! Small writers of audio files for the tests: nothing here needs a codec.
 
 /// A WAV file with the given header fields and data, whether they make sense or not.
-pub fn wav(channels: u16, rate: u32, bits: u16, data: &[u8]) -> Vec<u8> {
+pub(crate) fn wav(channels: u16, rate: u32, bits: u16, data: &[u8]) -> Vec<u8> {
     wav_declaring(
         channels,
         rate,
@@ -12,7 +12,13 @@ pub fn wav(channels: u16, rate: u32, bits: u16, data: &[u8]) -> Vec<u8> {
 }
 
 /// A WAV file that declares `declared` bytes of data.
-pub fn wav_declaring(channels: u16, rate: u32, bits: u16, data: &[u8], declared: u32) -> Vec<u8> {
+pub(crate) fn wav_declaring(
+    channels: u16,
+    rate: u32,
+    bits: u16,
+    data: &[u8],
+    declared: u32,
+) -> Vec<u8> {
     let block = channels.saturating_mul(bits / 8);
     let mut file = b"RIFF".to_vec();
     file.extend(declared.saturating_add(36).to_le_bytes());
@@ -31,24 +37,24 @@ pub fn wav_declaring(channels: u16, rate: u32, bits: u16, data: &[u8], declared:
 }
 
 /// A 16-bit WAV file of `samples`, channels interleaved.
-pub fn wav16(channels: u16, rate: u32, samples: &[i16]) -> Vec<u8> {
+pub(crate) fn wav16(channels: u16, rate: u32, samples: &[i16]) -> Vec<u8> {
     let data: Vec<u8> = samples.iter().flat_map(|s| s.to_le_bytes()).collect();
     wav(channels, rate, 16, &data)
 }
 
 /// A FLAC file of digital silence: every subframe of every frame is one CONSTANT value.
-pub struct SilentFlac {
-    pub rate: u32,
-    pub channels: u8,
-    pub frames: u64,
+pub(crate) struct SilentFlac {
+    pub(crate) rate: u32,
+    pub(crate) channels: u8,
+    pub(crate) frames: u64,
     /// Whether the header declares the length (0 means unknown).
-    pub declared: u64,
+    pub(crate) declared: u64,
 }
 
 impl SilentFlac {
     const BLOCK: u64 = 65_535;
 
-    pub fn bytes(&self) -> Vec<u8> {
+    pub(crate) fn bytes(&self) -> Vec<u8> {
         let mut file = b"fLaC".to_vec();
         // The last metadata block, STREAMINFO, 34 bytes.
         file.extend([0x80, 0, 0, 34]);
