@@ -248,23 +248,6 @@ fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackI
 
 /// The codec in words: symphonia names only what it was built with.
 fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
-<<<<<<< HEAD
-    if parameters.codec == CODEC_ID_AAC {
-        "AAC of another profile than LC with 1 or 2 channels (HE-AAC, for example)".to_owned()
-    } else if let Some(decoder) = get_codecs().get_audio_decoder(parameters.codec) {
-        format!(
-            "{} in a form that is not supported ({reason})",
-            decoder.codec.info.long_name
-        )
-    } else if parameters.codec == CODEC_ID_NULL_AUDIO {
-        "an unknown codec".to_owned()
-    } else {
-        format!(
-            "a codec without a decoder here (number {})",
-            parameters.codec
-        )
-    }
-=======
     let words = match parameters.codec {
         CODEC_ID_AAC => "AAC of another profile than LC with 1 or 2 channels (HE-AAC, for example)",
         CODEC_ID_ALAC => "Apple Lossless (ALAC)",
@@ -283,7 +266,6 @@ fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
         }
     };
     words.to_owned()
->>>>>>> wip-audio
 }
 
 /// What an error while reading the headers means.

@@ -1,0 +1,285 @@
+//! Whole samplings by the engine on imported golden models: codes, motion and joints (ARCHITECTURE
+//! section 5), cancellation, and a queue that says when it is full.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
+mod common;
+
+use std::{
+    path::Path,
+    sync::{
+        Arc, Barrier,
+        atomic::{AtomicUsize, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use bailando::{
+    CancelToken, Error,
+    audio::AudioLimits,
+    engine::{Choreographer, EngineConfig, EngineError, GenerationOptions, Progress},
+    model::WindowKind,
+    motion::integrate_root,
+};
+use common::{TOLERANCE, assert_close, codes, fixture, floats, imported, shared};
+use ndarray::Array2;
+use tempfile::TempDir;
+
+/// Start codes of the golden samplings.
+const START: (u32, u32) = (8, 3);
+
+fn open(folder: &TempDir) -> Choreographer {
+    Choreographer::open(&EngineConfig {
+        model_dir: folder.path().join("model"),
+        threads: 1,
+        queue: 1,
+        audio: AudioLimits::default(),
+    })
+    .unwrap()
+}
+
+fn options(window: WindowKind) -> GenerationOptions {
+    GenerationOptions {
+        start_upper: Some(START.0),
+        start_lower: Some(START.1),
+        window: Some(window),
+        hop: Some(15),
+        seed: Some(1),
+        ..GenerationOptions::default()
+    }
+}
+
+fn assert_golden_sampling(choreographer: &Choreographer, window: WindowKind, name: &str) {
+    let music = floats(&fixture("music.npy"));
+    let dance = choreographer
+        .dance_to_rows(music, &options(window), &CancelToken::new(), Arc::new(()))
+        .unwrap();
+    assert_eq!(
+        dance.codes.upper,
+        codes(&fixture(&format!("codes_{name}_up.npy"))),
+        "{name}"
+    );
+    assert_eq!(
+        dance.codes.lower,
+        codes(&fixture(&format!("codes_{name}_down.npy"))),
+        "{name}"
+    );
+    let raw = if name == "slide" {
+        "decode_raw.npy"
+    } else {
+        "decode_raw_shift15.npy"
+    };
+    assert_close(&dance.motion, &floats(&fixture(raw)), TOLERANCE, raw);
+    if name == "slide" {
+        let joints = integrate_root(dance.motion.view(), [0.0; 3]).unwrap();
+        let frames = joints.dim().0;
+        let joints = joints.into_shape_with_order((frames, 72)).unwrap();
+        assert_close(
+            &joints,
+            &floats(&fixture("joints_abs.npy")),
+            TOLERANCE,
+            "joints_abs.npy",
+        );
+    }
+}
+
+fn assert_golden(folder: &TempDir) {
+    let choreographer = open(folder);
+    assert_golden_sampling(&choreographer, WindowKind::Sliding, "slide");
+    assert_golden_sampling(&choreographer, WindowKind::Hop, "shift15");
+}
+
+#[test]
+fn both_windows_give_the_golden_codes_and_motion() {
+    let (folder, _) = imported(|_| {});
+    assert_golden(&folder);
+}
+
+#[test]
+fn every_checkpoint_variant_gives_the_golden_codes_and_motion() {
+    let variants = [
+        ("tiny_gpt_legacy.pt", "tiny_vqvae_legacy.pt"),
+        ("tiny_gpt_torch16.pt", "tiny_vqvae_torch16.pt"),
+        ("tiny_gpt_nocritic.pt", "tiny_vqvae.pt"),
+    ];
+    for (gpt, vqvae) in variants {
+        let find = |name: &str| shared("golden sampling", &format!("model/golden/{name}"));
+        let (Some(gpt), Some(vqvae)) = (find(gpt), find(vqvae)) else {
+            return;
+        };
+        let (folder, _) = imported(|options| {
+            options.gpt = gpt.clone();
+            options.vqvae = vqvae.clone();
+        });
+        assert_golden(&folder);
+    }
+}
+
+/// A long random piece: more than two chunks, so that inner chunk borders exist.
+#[test]
+fn a_piece_decodes_the_same_in_chunks_and_at_once() {
+    let (folder, directory) = imported(|_| {});
+    let choreographer = open(&folder);
+    let music = Array2::from_shape_fn((200, 438), |(row, column)| {
+        ((row * 31 + column * 7) % 97) as f32 / 97.0 - 0.5
+    });
+    let mut options = options(WindowKind::Hop);
+    options.temperature = Some(1.0);
+    let dance = choreographer
+        .dance_to_rows(music, &options, &CancelToken::new(), Arc::new(()))
+        .unwrap();
+    let whole = directory
+        .decoder(1)
+        .unwrap()
+        .decode(&dance.codes.upper, &dance.codes.lower, &CancelToken::new())
+        .unwrap();
+    assert_eq!(whole.nrows(), 1600);
+    assert_close(&dance.motion, &whole, 1e-6, "chunked decoding");
+}
+
+#[test]
+fn seeds_decide_the_dance_and_given_codes_begin_it() {
+    let (folder, _) = imported(|_| {});
+    let choreographer = open(&folder);
+    let dance = |seed, start: Option<u32>| {
+        let mut options = options(WindowKind::Hop);
+        options.seed = Some(seed);
+        options.temperature = Some(1.0);
+        options.start_upper = start;
+        let music = floats(&fixture("music.npy"));
+        let raw = choreographer.dance_to_rows(music, &options, &CancelToken::new(), Arc::new(()));
+        raw.unwrap().codes
+    };
+    assert_eq!(dance(4, None), dance(4, None));
+    assert_ne!(dance(4, None), dance(5, None));
+    assert_eq!(dance(4, Some(11)).upper[0], 11);
+    assert_eq!(dance(4, Some(11)).lower[0], START.1);
+}
+
+/// Stops at its first code until it is told to go on, and counts the codes after it.
+struct Gate {
+    reached: Barrier,
+    open: Barrier,
+    codes: AtomicUsize,
+}
+
+impl Gate {
+    fn new() -> Arc<Self> {
+        Arc::new(Self {
+            reached: Barrier::new(2),
+            open: Barrier::new(2),
+            codes: AtomicUsize::new(0),
+        })
+    }
+}
+
+impl Progress for Gate {
+    fn codes(&self, _done: usize, _total: usize) {
+        if self.codes.fetch_add(1, Ordering::SeqCst) == 0 {
+            self.reached.wait();
+            self.open.wait();
+        }
+    }
+}
+
+#[test]
+fn cancellation_stops_at_the_next_step_and_the_model_dances_on() {
+    let (folder, _) = imported(|_| {});
+    let choreographer = open(&folder);
+    let gate = Gate::new();
+    let cancel = CancelToken::new();
+    let working = std::thread::spawn({
+        let (choreographer, gate, cancel) = (choreographer.clone(), gate.clone(), cancel.clone());
+        move || {
+            let music = floats(&fixture("music.npy"));
+            choreographer.dance_to_rows(music, &options(WindowKind::Hop), &cancel, gate)
+        }
+    });
+    gate.reached.wait();
+    cancel.cancel();
+    gate.open.wait();
+    let result = working.join().unwrap();
+    assert!(
+        matches!(result, Err(Error::Engine(EngineError::Cancelled))),
+        "{result:?}"
+    );
+    assert_eq!(
+        gate.codes.load(Ordering::SeqCst),
+        1,
+        "no code after the cancellation"
+    );
+    assert_golden_sampling(&choreographer, WindowKind::Hop, "shift15");
+}
+
+#[test]
+fn a_full_queue_is_an_error_not_a_wait() {
+    let (folder, _) = imported(|_| {});
+    let choreographer = open(&folder);
+    let gate = Gate::new();
+    let dance = |progress: Arc<dyn Progress>| {
+        let choreographer = choreographer.clone();
+        std::thread::spawn(move || {
+            let music = floats(&fixture("music.npy"));
+            let options = options(WindowKind::Hop);
+            choreographer.dance_to_rows(music, &options, &CancelToken::new(), progress)
+        })
+    };
+    let running = dance(gate.clone());
+    gate.reached.wait();
+    // One is running; of two more, one fits the queue of one and the other must be refused.
+    let others = [dance(Arc::new(())), dance(Arc::new(()))];
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while !others.iter().any(|other| other.is_finished()) && Instant::now() < deadline {
+        std::thread::yield_now();
+    }
+    gate.open.wait();
+    assert!(running.join().unwrap().is_ok());
+    let results = others.map(|other| other.join().unwrap());
+    let full = |result: &bailando::Result<_>| {
+        matches!(
+            result,
+            Err(Error::Engine(EngineError::QueueFull { capacity: 1 }))
+        )
+    };
+    assert_eq!(results.iter().filter(|result| full(result)).count(), 1);
+    assert_eq!(results.iter().filter(|result| result.is_ok()).count(), 1);
+}
+
+#[test]
+fn a_directory_that_does_not_fit_its_manifest_is_refused_in_one_line() {
+    let (folder, _) = imported(|_| {});
+    let model = folder.path().join("model");
+    let refused = |expected: &str| {
+        let error = bailando::model::ModelDirectory::open(&model)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains(expected), "{error}");
+        assert!(!error.contains('\n'), "{error}");
+    };
+    let decoder = model.join("decoder.onnx");
+    let bytes = std::fs::read(&decoder).unwrap();
+    std::fs::write(&decoder, &bytes[..bytes.len() / 2]).unwrap();
+    refused("decoder.onnx: the size in bytes is");
+    let mut changed = bytes.clone();
+    changed[bytes.len() / 2] ^= 1;
+    std::fs::write(&decoder, &changed).unwrap();
+    refused("decoder.onnx: the SHA-256 is");
+    std::fs::remove_file(&decoder).unwrap();
+    refused("decoder.onnx");
+    std::fs::write(&decoder, &bytes).unwrap();
+
+    let manifest = model.join("manifest.json");
+    let text = std::fs::read_to_string(&manifest).unwrap();
+    let write = |path: &Path, text: &str| std::fs::write(path, text).unwrap();
+    write(
+        &manifest,
+        &text.replace("\"decoder.onnx\"", "\"../decoder.onnx\""),
+    );
+    refused("manifest.json");
+    write(&manifest, "{}");
+    refused("manifest.json");
+}
