@@ -1,5 +1,6 @@
 //! The motion chain against golden vectors and recordings.
 
+#[allow(unreachable_pub, reason = "shared by every test binary")]
 mod common;
 mod motion_support;
 

@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    format::{self, BvhOptions, BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
+    format::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
     motion::Positions,
 };
 use clap::ValueEnum;
@@ -34,8 +34,8 @@ pub(super) struct OutputArgs {
     /// Add local rotations and the root's path to JSON
     #[arg(long)]
     include_rotations: bool,
-    /// How JSON holds positions: nested arrays, or base64 of little-endian float32
-    #[arg(long, value_enum, default_value = "array")]
+    /// How JSON holds positions: json for nested arrays, base64 for packed little-endian float32
+    #[arg(long, value_enum, default_value = "json")]
     encoding: EncodingArg,
     /// Unit of length in BVH
     #[arg(long, value_enum, default_value = "cm")]
@@ -51,7 +51,7 @@ pub(super) enum FileFormat {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum EncodingArg {
-    Array,
+    Json,
     Base64,
 }
 
@@ -128,12 +128,23 @@ impl OutputArgs {
         path: &Path,
         format: FileFormat,
     ) -> anyhow::Result<()> {
-        let bytes = match format {
+        let format = match format {
             FileFormat::Npy => return write_positions(path, &dance.positions),
             FileFormat::Json => OutputFormat::Json,
             FileFormat::Bvh => OutputFormat::Bvh,
         };
-        let bytes = format::render(dance, bytes, &self.render_options())?;
+        let json = JsonOptions {
+            rotations: self.include_rotations,
+            encoding: match self.encoding {
+                EncodingArg::Json => Encoding::Json,
+                EncodingArg::Base64 => Encoding::Base64,
+            },
+        };
+        let unit = match self.bvh_unit {
+            UnitArg::Cm => BvhUnit::Centimetre,
+            UnitArg::M => BvhUnit::Metre,
+        };
+        let bytes = format.write(dance, &json, unit).map_err(bailando::Error::from)?;
         fs::write(path, bytes).with_context(|| path.display().to_string())
     }
 }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::FormatError;
 use crate::motion::{Animation, Positions, PositionsSource, Skeleton};
 
 /// Pose codes of the two half bodies, one pair per 8 frames at 60 fps.
@@ -62,4 +63,40 @@ pub struct Dance {
     pub timings: Timings,
     /// What was trimmed, truncated or assumed, in plain words.
     pub warnings: Vec<String>,
+}
+
+impl Dance {
+    /// Checks that what is written fits together and is finite: formats rely on it.
+    pub(super) fn check(&self) -> Result<(), FormatError> {
+        let fail = |message: String| Err(FormatError::Inconsistent(message));
+        if let Err(error) = self.skeleton.validate() {
+            return fail(error.to_string());
+        }
+        let joints = self.skeleton.joints.len();
+        let frames = self.animation.root.len();
+        if self.animation.fps == 0 {
+            return fail("0 frames per second".into());
+        }
+        if self.animation.rotations.len() != frames || self.positions.dim() != (frames, joints, 3) {
+            return fail(format!(
+                "{frames} roots, {} frames of rotations, positions {:?} for {joints} joints",
+                self.animation.rotations.len(),
+                self.positions.shape()
+            ));
+        }
+        let rotations = &self.animation.rotations;
+        if let Some(frame) = rotations.iter().position(|pose| pose.len() != joints) {
+            return fail(format!("not {joints} rotations in frame {frame}"));
+        }
+        let finite = self.animation.root.iter().all(|p| p.is_finite())
+            && rotations.iter().flatten().all(|q| q.is_finite())
+            && self.positions.iter().all(|v| v.is_finite());
+        if !finite {
+            return fail("a value is not finite".into());
+        }
+        if !rotations.iter().flatten().all(|q| q.is_normalized()) {
+            return fail("a rotation is not of unit length".into());
+        }
+        Ok(())
+    }
 }

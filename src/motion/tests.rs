@@ -385,10 +385,8 @@ mod finished {
             let done = finish(decoded.view(), &skeleton(), &options).unwrap();
             assert_eq!(done.source, PositionsSource::ForwardKinematics);
             assert_eq!(done.positions.dim(), (frames, 24, 3));
-            assert_eq!(
-                done.positions,
-                forward(&skeleton(), &done.animation).unwrap()
-            );
+            let again = forward(&skeleton(), &done.animation).unwrap();
+            assert!(furthest(&done.positions, &again) < 1e-5);
         }
         let options = FinishOptions {
             fps: 25,

@@ -1,26 +1,32 @@
 //! Motions for the integration tests of `motion` and `format`.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    time::Duration,
+};
 
-use bailando::motion::{Positions, Skeleton};
+use bailando::{
+    format::{Codes, Dance, MusicInfo, Timings},
+    motion::{FinishOptions, Positions, Skeleton, finish},
+};
 use ndarray::{Array2, Array3};
 
 /// The skeleton of the motion that models are trained on.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn skeleton() -> Skeleton {
+pub(crate) fn skeleton() -> Skeleton {
     serde_json::from_str(include_str!("../fixtures/motion/skeleton.json")).unwrap()
 }
 
 /// A file of `tests/fixtures/motion`.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn fixture(name: &str) -> Array2<f32> {
+pub(crate) fn fixture(name: &str) -> Array2<f32> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/motion");
     ndarray_npy::read_npy(folder.join(name)).unwrap()
 }
 
 /// All recordings in the folder of a data set.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn recordings(folder: &Path) -> Vec<(PathBuf, Positions)> {
+pub(crate) fn recordings(folder: &Path) -> Vec<(PathBuf, Positions)> {
     let mut paths: Vec<PathBuf> = std::fs::read_dir(folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -38,7 +44,7 @@ pub fn recordings(folder: &Path) -> Vec<(PathBuf, Positions)> {
 /// What a perfect decoder would put out for a recording: root velocity in columns 0..3, the other
 /// joints relative to the root.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn decoded_from(positions: &Positions) -> Array2<f32> {
+pub(crate) fn decoded_from(positions: &Positions) -> Array2<f32> {
     let (frames, joints, _) = positions.dim();
     Array2::from_shape_fn((frames, 3 * joints), |(frame, column)| {
         let (joint, axis) = (column / 3, column % 3);
@@ -53,7 +59,7 @@ pub fn decoded_from(positions: &Positions) -> Array2<f32> {
 
 /// Mean and largest distance of joints, metres.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
-pub fn distances(a: &Positions, b: &Positions) -> (f64, f64) {
+pub(crate) fn distances(a: &Positions, b: &Positions) -> (f64, f64) {
     assert_eq!(a.dim(), b.dim());
     let (mut sum, mut largest) = (0.0_f64, 0.0_f64);
     for (pose_a, pose_b) in a.outer_iter().zip(b.outer_iter()) {
@@ -69,4 +75,33 @@ pub fn distances(a: &Positions, b: &Positions) -> (f64, f64) {
     }
     let (frames, joints, _) = a.dim();
     (sum / (frames * joints) as f64, largest)
+}
+
+/// A dance around a motion that looks like a decoder's output.
+#[allow(dead_code, reason = "not every test binary uses every helper")]
+pub(crate) fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> Dance {
+    let done = finish(decoded.view(), &skeleton(), options).unwrap();
+    let codes = decoded.dim().0 as u32 / 8;
+    Dance {
+        model: "tiny".into(),
+        seed: 7,
+        skeleton: skeleton(),
+        animation: done.animation,
+        positions: done.positions,
+        positions_source: done.source,
+        codes: Codes {
+            upper: (0..codes).map(|k| k % 5).collect(),
+            lower: (0..codes).map(|k| k % 3).collect(),
+        },
+        music: Some(MusicInfo {
+            tempo_bpm: 104.0,
+            beats_s: vec![0.5, 1.0769],
+        }),
+        audio_seconds: decoded.dim().0 as f64 / 60.0,
+        timings: Timings {
+            inference: Duration::from_micros(12_345),
+            ..Timings::default()
+        },
+        warnings: vec!["0.1 s of silence were trimmed".into()],
+    }
 }

@@ -1,6 +1,13 @@
 //! Checkpoints to model directories; later, training.
+//!
+//! [`checkpoint`] (a file to tensors) → [`weights`] (tensors to networks) → [`onnx`] (networks to
+//! graphs) → [`export`] (graphs and manifest to a model directory). [`import`] goes all the way,
+//! [`cli`] parses and prints.
 
 pub mod checkpoint;
+pub mod cli;
+pub mod export;
+pub mod import;
 pub mod onnx;
 mod tensor;
 pub mod weights;

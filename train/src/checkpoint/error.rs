@@ -62,7 +62,7 @@ pub enum Problem {
     #[error("this is neither a zip nor a legacy PyTorch checkpoint")]
     UnknownContainer,
     /// The zip archive is damaged.
-    #[error("damaged zip archive: {0}")]
+    #[error("the zip archive is damaged or cut off: {0}")]
     Zip(String),
     /// An entry is compressed or encrypted; PyTorch stores plainly.
     #[error("zip entry `{0}` is compressed or encrypted, PyTorch stores its entries plainly")]

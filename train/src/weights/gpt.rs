@@ -87,7 +87,11 @@ impl GptWeights {
         )?;
         let channels = upper_embedding.dim(1);
         if heads == 0 || !channels.is_multiple_of(heads) {
-            return Err(WeightError::Heads { channels, heads });
+            return Err(WeightError::Heads {
+                path: source.path().to_owned(),
+                channels,
+                heads,
+            });
         }
         let lower_embedding = source.take(
             "gpt_base.tok_emb_down.weight",

@@ -11,6 +11,8 @@ pub use vqvae::{
     HalfWeights, ResidualBlock, VqVaeWeights,
 };
 
+use std::path::PathBuf;
+
 use crate::checkpoint::CheckpointError;
 
 /// Why weights could not be taken from a checkpoint.
@@ -21,10 +23,10 @@ pub enum WeightError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The head count cannot be read off the tensors and the one given does not fit them.
-    #[error(
-        "{channels} channels cannot be divided among {heads} attention heads: give the right count with --heads"
-    )]
+    #[error("{}: {channels} channels cannot be divided among {heads} heads: give the right count with --heads", path.display())]
     Heads {
+        /// The checkpoint.
+        path: PathBuf,
         /// Width of the embeddings.
         channels: usize,
         /// Heads asked for.

@@ -1,5 +1,7 @@
 //! Tensors of a checkpoint by name, with their shapes checked.
 
+use std::path::Path;
+
 use crate::{
     Tensor,
     checkpoint::{Checkpoint, CheckpointError},
@@ -22,6 +24,10 @@ pub(super) struct Source<'a> {
 impl<'a> Source<'a> {
     pub(super) fn new(checkpoint: &'a mut Checkpoint) -> Self {
         Self { checkpoint }
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        self.checkpoint.path()
     }
 
     /// The tensor `name`, whose shape must match `shape`.

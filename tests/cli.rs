@@ -1,0 +1,172 @@
+//! The command line as a user meets it: help, exit codes, one song to every format.
+
+mod common;
+
+use std::{
+    path::{Path, PathBuf},
+    process::{Command, Output},
+};
+
+use ndarray::{Array2, Array3};
+
+const SONG: &str = "tests/fixtures/audio/demo.ogg";
+
+fn bailando(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_bailando"))
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .args(arguments)
+        .env("COLUMNS", "100")
+        .env_remove("BAILANDO_MODEL_DIR")
+        .output()
+        .expect("the binary runs")
+}
+
+fn succeed(arguments: &[&str]) -> String {
+    let output = bailando(arguments);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{arguments:?}: {errors}");
+    String::from_utf8(output.stdout).expect("UTF-8")
+}
+
+/// Exit code and standard error of a command that must not work.
+fn fail(arguments: &[&str]) -> (Option<i32>, String) {
+    let output = bailando(arguments);
+    assert!(!output.status.success(), "{arguments:?} worked");
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+fn path(folder: &Path, name: &str) -> (PathBuf, String) {
+    let path = folder.join(name);
+    let text = path.to_str().expect("UTF-8").to_owned();
+    (path, text)
+}
+
+#[test]
+fn help_is_the_reference() {
+    insta::assert_snapshot!("help", succeed(&["--help"]));
+    for command in ["serve", "generate", "features", "healthcheck"] {
+        insta::assert_snapshot!(format!("help_{command}"), succeed(&[command, "--help"]));
+    }
+}
+
+#[test]
+fn wrong_use_exits_with_2_and_failure_with_1() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (_, json) = path(folder.path(), "dance.json");
+    let (_, glb) = path(folder.path(), "dance.glb");
+    let usage: [&[&str]; 5] = [
+        &["dance"],
+        &["generate", SONG],
+        &["generate", SONG, "-o", &glb],
+        &["generate", SONG, "-o", &json, "--fps", "25"],
+        &["generate", SONG, SONG, "-o", &json],
+    ];
+    for arguments in usage {
+        let (code, message) = fail(arguments);
+        assert_eq!(code, Some(2), "{arguments:?}: {message}");
+    }
+    let failures: [(&[&str], &str); 4] = [
+        (&["generate", "no-such-song.mp3", "-o", &json], "no-such-song.mp3"),
+        (&["generate", "Cargo.toml", "-o", &json], "Cargo.toml"),
+        (&["generate", SONG, "-o", &json, "--model-dir", "src"], "manifest.json"),
+        (&["healthcheck", "--url", "http://127.0.0.1:1/health"], "127.0.0.1:1"),
+    ];
+    for (arguments, expected) in failures {
+        let (code, message) = fail(arguments);
+        assert_eq!(code, Some(1), "{arguments:?}: {message}");
+        assert!(message.contains(expected), "{message}");
+        assert_eq!(message.trim_end().lines().count(), 1, "one line: {message}");
+    }
+}
+
+#[test]
+fn a_song_becomes_json_bvh_and_npy_of_the_same_dance() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str| {
+        let (path, text) = path(folder.path(), name);
+        succeed(&["generate", SONG, "-o", &text, "--seed", "7", "--duration-s", "6"]);
+        path
+    };
+    let json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(write("a.json")).expect("json")).expect("JSON");
+    let positions: Array3<f32> = ndarray_npy::read_npy(write("a.npy")).expect("npy");
+    let bvh = std::fs::read_to_string(write("a.bvh")).expect("bvh");
+
+    let frames = positions.dim().0;
+    assert!(frames.abs_diff(360) <= 8, "6 s at 60 fps, not {frames} frames");
+    assert_eq!(json["frames"], frames);
+    assert_eq!(json["seed"], 7);
+    assert!(bvh.contains(&format!("Frames: {frames}")));
+    let hand = json["positions"][frames - 1][23][1].as_f64().expect("a number");
+    assert!((hand - f64::from(positions[[frames - 1, 23, 1]])).abs() < 1e-5);
+}
+
+#[test]
+fn several_songs_go_to_a_folder_and_a_bad_one_does_not_stop_the_rest() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (out, out_text) = path(folder.path(), "dances");
+    let (code, message) = fail(&[
+        "generate", "Cargo.toml", SONG, "--out-dir", &out_text, "--format", "json",
+        "--duration-s", "2", "--seed", "1",
+    ]);
+    assert_eq!(code, Some(1));
+    assert!(message.contains("1 of 2 songs"), "{message}");
+    assert!(out.join("demo.json").is_file());
+}
+
+#[test]
+fn features_and_rows_give_the_codes_of_the_song() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (rows_path, rows_text) = path(folder.path(), "rows.npy");
+    let (codes_path, codes_text) = path(folder.path(), "codes.npy");
+    let (positions_path, positions_text) = path(folder.path(), "positions.npy");
+    succeed(&["features", SONG, "-o", &rows_text]);
+    let rows: Array2<f32> = ndarray_npy::read_npy(rows_path).expect("npy");
+    assert_eq!(rows.dim(), (226, 438));
+    succeed(&[
+        "generate", "--features", &rows_text, "--start-upper", "84", "--start-lower", "210",
+        "--window", "hop", "--hop", "15", "--seed", "3", "--codes-out", &codes_text,
+        "--positions-out", &positions_text,
+    ]);
+    let codes: Array2<i64> = ndarray_npy::read_npy(codes_path).expect("npy");
+    let positions: Array3<f32> = ndarray_npy::read_npy(positions_path).expect("npy");
+    assert_eq!(codes.dim(), (2, 226));
+    assert_eq!((codes[[0, 0]], codes[[1, 0]]), (84, 210));
+    assert_eq!(positions.dim(), (8 * 226, 24, 3));
+    assert_eq!(positions[[0, 0, 1]], 0.0, "raw positions begin at the origin");
+
+    let json = path(folder.path(), "song.json");
+    succeed(&[
+        "generate", SONG, "-o", &json.1, "--start-upper", "84", "--start-lower", "210", "--seed", "3",
+    ]);
+    let dance: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(json.0).expect("json")).expect("JSON");
+    for (half, name) in ["upper", "lower"].iter().enumerate() {
+        let from_song: Vec<i64> = serde_json::from_value(dance["codes"][name].clone()).expect("codes");
+        assert_eq!(from_song, codes.row(half).to_vec());
+    }
+}
+
+/// The bootstrap's own argmax codes over the demo song, by an independent implementation.
+#[test]
+fn the_default_model_repeats_the_independent_codes() {
+    for window in ["sliding", "hop"] {
+        let name = if window == "hop" { "hop15" } else { window };
+        let golden = format!("model/bootstrap/demo_codes_{name}.npy");
+        let (Some(golden), Some(rows)) =
+            (common::shared(&golden), common::shared("model/bootstrap/demo_music.npy"))
+        else {
+            return;
+        };
+        let folder = tempfile::tempdir().expect("a folder");
+        let (codes_path, codes_text) = path(folder.path(), "codes.npy");
+        succeed(&[
+            "generate", "--features", rows.to_str().expect("UTF-8"), "--start-upper", "84",
+            "--start-lower", "210", "--temperature", "0", "--window", window, "--hop", "15",
+            "--codes-out", &codes_text,
+        ]);
+        let expected: Array2<i64> = ndarray_npy::read_npy(golden).expect("npy");
+        let codes: Array2<i64> = ndarray_npy::read_npy(codes_path).expect("npy");
+        assert_eq!(codes, expected, "{window}");
+    }
+}

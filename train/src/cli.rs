@@ -1,0 +1,196 @@
+//! The command line: parse, call, print.
+
+use std::{
+    collections::BTreeMap,
+    io::{self, Write},
+    path::PathBuf,
+};
+
+use bailando::{features::Profile, model::Manifest, model::WeightStorage};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::{
+    export::Description,
+    import::{ImportOptions, import},
+};
+
+/// Offline companion of bailando: makes the model directories that the server runs.
+#[derive(Debug, Parser)]
+#[command(name = "bailando-train", version, max_term_width = 100)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Import(Box<ImportArguments>),
+}
+
+/// Turn official PyTorch checkpoints into a model directory.
+///
+/// Reads the two checkpoints of a trained model without executing anything in them, writes the
+/// ONNX graphs and the manifest, and loads the result once to check it. The defaults are those of
+/// the officially published weights.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "Example: bailando-train import --vqvae vqvae.pt --gpt gpt.pt --out models/mine"
+)]
+struct ImportArguments {
+    /// Checkpoint of the pose VQ-VAE with the root's velocity branch
+    #[arg(long, value_name = "FILE.pt")]
+    vqvae: PathBuf,
+
+    /// Checkpoint of the motion GPT
+    #[arg(long, value_name = "FILE.pt")]
+    gpt: PathBuf,
+
+    /// Model directory to write
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Attention heads of the GPT: the one size that the checkpoint does not tell
+    #[arg(long, default_value_t = 12, value_name = "N")]
+    heads: usize,
+
+    /// Version of the music features that the GPT was trained with
+    #[arg(long, value_enum, default_value_t = ProfileName::Librosa081)]
+    profile: ProfileName,
+
+    /// JSON list of [upper, lower] code pairs to start from, or an object with it as `start_codes`
+    /// [default: the pair 423, 12 where the vocabulary has it, else any pair]
+    #[arg(long, value_name = "FILE.json")]
+    start_codes: Option<PathBuf>,
+
+    /// Default sampling temperature; 0 always takes the most likely code
+    #[arg(long, default_value_t = 0.0, value_name = "T", value_parser = temperature)]
+    temperature: f32,
+
+    /// How weights are stored: f32 exactly, f16 in half the space (they are computed with in f32)
+    #[arg(long, value_enum, default_value_t = Weights::F32)]
+    weights: Weights,
+
+    /// Name of the model, reported with every dance
+    #[arg(long, default_value = "bailando-official")]
+    name: String,
+
+    /// Licence of the weights, as their owner gives it
+    #[arg(
+        long,
+        default_value = "non-commercial, as given by the authors of the published weights"
+    )]
+    licence: String,
+
+    /// Height in metres at which the pelvis starts above the floor
+    #[arg(long, default_value_t = 0.93, value_name = "METRES", value_parser = root_height)]
+    root_height: f32,
+
+    /// JSON object that says how the model was trained; copied into the manifest
+    #[arg(long, value_name = "FILE.json")]
+    training: Option<PathBuf>,
+
+    /// Replace the model that is already in DIR
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum ProfileName {
+    #[value(name = "librosa-0.11")]
+    Librosa011,
+    #[value(name = "librosa-0.8.1")]
+    Librosa081,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Weights {
+    F16,
+    F32,
+}
+
+fn temperature(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        _ => Err("expected a number of 0 or more".into()),
+    }
+}
+
+fn root_height(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value > 0.0 && value <= 10.0 => Ok(value),
+        _ => Err("expected a height in metres, above 0 and at most 10".into()),
+    }
+}
+
+/// Runs one command and reports on `output`.
+///
+/// # Errors
+/// Whatever the command or the output gives, for one line on standard error.
+pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> {
+    match arguments.command {
+        Command::Import(arguments) => {
+            let options = ImportOptions::from(*arguments);
+            let manifest = import(&options)?;
+            report(&options, &manifest, output)?;
+            Ok(())
+        }
+    }
+}
+
+impl From<ImportArguments> for ImportOptions {
+    fn from(arguments: ImportArguments) -> Self {
+        Self {
+            vqvae: arguments.vqvae,
+            gpt: arguments.gpt,
+            out: arguments.out,
+            replace: arguments.force,
+            heads: arguments.heads,
+            start_codes: arguments.start_codes,
+            training: arguments.training,
+            description: Description {
+                name: arguments.name,
+                licence: arguments.licence,
+                profile: match arguments.profile {
+                    ProfileName::Librosa011 => Profile::Librosa011,
+                    ProfileName::Librosa081 => Profile::Librosa081,
+                },
+                start_codes: Vec::new(),
+                temperature: arguments.temperature,
+                root_height: arguments.root_height,
+                weights: match arguments.weights {
+                    Weights::F16 => WeightStorage::F16,
+                    Weights::F32 => WeightStorage::F32,
+                },
+                training: BTreeMap::new(),
+            },
+        }
+    }
+}
+
+fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write) -> io::Result<()> {
+    let gpt = manifest.gpt;
+    writeln!(
+        output,
+        "wrote {} ({})",
+        options.out.display(),
+        manifest.name
+    )?;
+    writeln!(
+        output,
+        "  {} upper and {} lower codes; GPT of {} layers, {} channels, {} heads; decoder of width {}",
+        manifest.vocabulary.upper,
+        manifest.vocabulary.lower,
+        gpt.layers,
+        gpt.channels,
+        gpt.heads,
+        manifest.decoder.width,
+    )?;
+    for (name, file) in &manifest.files {
+        writeln!(output, "  {name:<13} {:>8.1} MB", file.bytes as f64 / 1e6)?;
+    }
+    writeln!(
+        output,
+        "try it: bailando serve --model-dir {}",
+        options.out.display()
+    )
+}

@@ -1,0 +1,87 @@
+//! The manifest: sizes from the weights, everything else from the description.
+
+use std::collections::BTreeMap;
+
+use bailando::{
+    features::{HOP, Rate},
+    model::{
+        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults, Vocabulary,
+        WindowKind,
+    },
+};
+
+use super::{Description, ExportError, skeleton};
+use crate::{
+    onnx::receptive_codes,
+    weights::{GptWeights, HALF_JOINTS, VqVaeWeights},
+};
+
+/// Frames per second of all motion that the models know.
+const FPS: u32 = 60;
+/// Codes kept when the window shrinks, as the golden vectors and the model cards use it.
+const HOP_CODES: usize = 15;
+
+/// The manifest without its files.
+pub(super) fn manifest(
+    gpt: &GptWeights,
+    vqvae: &VqVaeWeights,
+    description: &Description,
+) -> Result<Manifest, ExportError> {
+    let context = gpt.block() - 1;
+    let (upper_joints, lower_joints) = HALF_JOINTS;
+    Ok(Manifest {
+        format_version: FORMAT_VERSION,
+        name: description.name.clone(),
+        licence: description.licence.clone(),
+        features: FeatureSpec {
+            profile: description.profile,
+            sample_rate: Rate::Conditioning.hz(),
+            hop: HOP,
+            columns: gpt.columns(),
+        },
+        fps: FPS,
+        frames_per_code: vqvae.frames_per_code(),
+        vocabulary: vocabulary(gpt, vqvae)?,
+        gpt: GptSpec {
+            block: gpt.block(),
+            context,
+            channels: gpt.channels(),
+            layers: gpt.blocks.len(),
+            heads: gpt.heads,
+        },
+        decoder: DecoderSpec {
+            width: vqvae.width(),
+            receptive_codes: receptive_codes(vqvae),
+        },
+        skeleton: skeleton(description.root_height),
+        upper_joints: upper_joints.to_vec(),
+        lower_joints: lower_joints.to_vec(),
+        start_codes: description.start_codes.clone(),
+        sampling: SamplingDefaults {
+            temperature: description.temperature,
+            top_k: None,
+            window: WindowKind::Hop,
+            hop: HOP_CODES.min(context),
+        },
+        weights: description.weights,
+        files: BTreeMap::new(),
+        training: description.training.clone(),
+    })
+}
+
+fn vocabulary(gpt: &GptWeights, vqvae: &VqVaeWeights) -> Result<Vocabulary, ExportError> {
+    let same = |half, embedding: &crate::Tensor, codebook: &crate::Tensor| {
+        if embedding.dim(0) == codebook.dim(0) {
+            return Ok(codebook.dim(0));
+        }
+        Err(ExportError::Vocabulary {
+            half,
+            gpt: embedding.dim(0),
+            codebook: codebook.dim(0),
+        })
+    };
+    Ok(Vocabulary {
+        upper: same("upper", &gpt.upper_embedding, &vqvae.upper.codebook)?,
+        lower: same("lower", &gpt.lower_embedding, &vqvae.lower.codebook)?,
+    })
+}

@@ -1,0 +1,85 @@
+//! A model directory from weights: graphs, manifest, and a write that leaves nothing half done.
+
+mod error;
+mod manifest;
+mod skeleton;
+mod staging;
+
+pub use error::ExportError;
+pub use skeleton::skeleton;
+
+use std::{collections::BTreeMap, path::Path};
+
+use bailando::{
+    features::Profile,
+    model::{Manifest, ModelDirectory, WeightStorage},
+};
+
+use crate::{
+    onnx::{decoder_graph, encoder_graph, gpt_graph},
+    weights::{GptWeights, VqVaeWeights},
+};
+use staging::Staging;
+
+/// What a manifest says that the weights cannot.
+#[derive(Clone, Debug)]
+pub struct Description {
+    /// Name of the model.
+    pub name: String,
+    /// Licence of the weights.
+    pub licence: String,
+    /// Feature chain that the model was trained with.
+    pub profile: Profile,
+    /// Pairs (upper, lower) to draw a start from; empty: any pair.
+    pub start_codes: Vec<[u32; 2]>,
+    /// Default temperature; 0 takes the most likely code.
+    pub temperature: f32,
+    /// Height in metres at which the root starts.
+    pub root_height: f32,
+    /// How weights are stored.
+    pub weights: WeightStorage,
+    /// How the model was trained.
+    pub training: BTreeMap<String, serde_json::Value>,
+}
+
+/// Writes a model directory at `out`, checked by loading it before it takes its place.
+///
+/// An existing directory is only replaced with `replace`, and only if it is empty or a model
+/// directory; files that the new one does not have (a model card) stay.
+///
+/// # Errors
+/// [`ExportError`]; `out` is as it was then.
+pub fn write_model_directory(
+    out: &Path,
+    replace: bool,
+    gpt: &GptWeights,
+    vqvae: &VqVaeWeights,
+    description: &Description,
+) -> Result<Manifest, ExportError> {
+    let mut manifest = manifest::manifest(gpt, vqvae, description)?;
+    let mut staging = Staging::beside(out, replace)?;
+    let graphs = [
+        ("gpt.onnx", gpt_graph(gpt, description.weights)?),
+        ("decoder.onnx", decoder_graph(vqvae, description.weights)?),
+        ("encoder.onnx", encoder_graph(vqvae, description.weights)?),
+    ];
+    for (name, bytes) in graphs {
+        let entry = staging.write(name, &bytes)?;
+        manifest.files.insert(name.to_owned(), entry);
+    }
+    let mut text = serde_json::to_string_pretty(&manifest).map_err(ExportError::Manifest)?;
+    text.push('\n');
+    staging.write("manifest.json", text.as_bytes())?;
+    load(staging.folder())?;
+    staging.publish()?;
+    Ok(manifest)
+}
+
+/// Opens everything that the server will open.
+fn load(folder: &Path) -> Result<(), ExportError> {
+    let directory = ModelDirectory::open(folder)?;
+    directory.gpt(1)?;
+    directory.decoder(1)?;
+    directory.encoder(1)?;
+    Ok(())
+}

@@ -1,0 +1,150 @@
+//! Official checkpoints to a model directory.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use bailando::model::Manifest;
+use serde::de::DeserializeOwned;
+
+use crate::{
+    checkpoint::{Checkpoint, CheckpointError},
+    export::{Description, ExportError, write_model_directory},
+    weights::{GptWeights, VqVaeWeights, WeightError},
+};
+
+/// The pair that the authors' demonstration starts with (ARCHITECTURE section 3).
+const OFFICIAL_START: [u32; 2] = [423, 12];
+
+/// What to import, and what the checkpoints do not say themselves.
+#[derive(Clone, Debug)]
+pub struct ImportOptions {
+    /// Checkpoint of the pose VQ-VAE.
+    pub vqvae: PathBuf,
+    /// Checkpoint of the motion GPT.
+    pub gpt: PathBuf,
+    /// Directory to write.
+    pub out: PathBuf,
+    /// Whether a model that is already there is replaced.
+    pub replace: bool,
+    /// Attention heads, which no tensor's shape tells.
+    pub heads: usize,
+    /// JSON with start codes.
+    pub start_codes: Option<PathBuf>,
+    /// JSON object for the manifest's `training`.
+    pub training: Option<PathBuf>,
+    /// Everything else; start codes and training are taken from the files above.
+    pub description: Description,
+}
+
+/// Why checkpoints could not be imported.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImportError {
+    /// A checkpoint.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The weights in it.
+    #[error(transparent)]
+    Weights(#[from] WeightError),
+    /// The model directory.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// A JSON file could not be read.
+    #[error("{}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A JSON file does not hold what is expected.
+    #[error("{}: expected {expected}: {source}", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// What it should hold.
+        expected: &'static str,
+        /// Where it does not.
+        source: serde_json::Error,
+    },
+    /// A start code is not in the vocabulary.
+    #[error("{}: start codes {pair:?} lie outside the vocabulary of {upper} upper and {lower} lower codes", path.display())]
+    StartCode {
+        /// The file.
+        path: PathBuf,
+        /// The pair.
+        pair: [u32; 2],
+        /// Number of upper codes.
+        upper: usize,
+        /// Number of lower codes.
+        lower: usize,
+    },
+}
+
+/// Imports; returns the manifest that was written.
+///
+/// # Errors
+/// [`ImportError`], one line that names the file and the tensor, expected and found. Nothing is
+/// left behind then.
+pub fn import(options: &ImportOptions) -> Result<Manifest, ImportError> {
+    let vqvae = VqVaeWeights::from_checkpoint(&mut Checkpoint::open(&options.vqvae)?)?;
+    let gpt = GptWeights::from_checkpoint(&mut Checkpoint::open(&options.gpt)?, options.heads)?;
+    let mut description = options.description.clone();
+    description.start_codes = start_codes(options.start_codes.as_deref(), &gpt)?;
+    if let Some(path) = &options.training {
+        description.training =
+            read_json::<BTreeMap<_, _>>(path, "an object that describes the training")?;
+    }
+    let (out, replace) = (&options.out, options.replace);
+    Ok(write_model_directory(
+        out,
+        replace,
+        &gpt,
+        &vqvae,
+        &description,
+    )?)
+}
+
+/// The file's pairs; without a file the official one where the vocabulary has it, else none.
+fn start_codes(path: Option<&Path>, gpt: &GptWeights) -> Result<Vec<[u32; 2]>, ImportError> {
+    let (upper, lower) = (gpt.upper_embedding.dim(0), gpt.lower_embedding.dim(0));
+    let known = |&[u, l]: &[u32; 2]| (u as usize) < upper && (l as usize) < lower;
+    let Some(path) = path else {
+        return Ok(Some(OFFICIAL_START).filter(known).into_iter().collect());
+    };
+    let expected = "a list of pairs [upper, lower], or an object with it as `start_codes`";
+    let mut content: serde_json::Value = read_json(path, expected)?;
+    // Other keys of an object are not ours to judge.
+    if let Some(list) = content.get_mut("start_codes") {
+        content = list.take();
+    }
+    let pairs: Vec<[u32; 2]> =
+        serde_json::from_value(content).map_err(|source| ImportError::Json {
+            path: path.to_owned(),
+            expected,
+            source,
+        })?;
+    match pairs.iter().find(|pair| !known(pair)) {
+        None => Ok(pairs),
+        Some(&pair) => Err(ImportError::StartCode {
+            path: path.to_owned(),
+            pair,
+            upper,
+            lower,
+        }),
+    }
+}
+
+fn read_json<T: DeserializeOwned>(path: &Path, expected: &'static str) -> Result<T, ImportError> {
+    let text = std::fs::read(path).map_err(|source| ImportError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    serde_json::from_slice(&text).map_err(|source| ImportError::Json {
+        path: path.to_owned(),
+        expected,
+        source,
+    })
+}

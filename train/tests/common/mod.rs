@@ -1,0 +1,112 @@
+//! Helpers of the integration tests.
+
+#![allow(dead_code, reason = "not every test binary uses every helper")]
+
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+};
+
+use bailando::{
+    features::Profile,
+    model::{ModelDirectory, WeightStorage},
+};
+use bailando_train::{
+    export::Description,
+    import::{ImportOptions, import},
+};
+use ndarray::{Array1, Array2, ArrayView2, Axis, Slice};
+use tempfile::TempDir;
+
+/// Largest absolute difference that float32 results may have (ARCHITECTURE section 5).
+pub(crate) const TOLERANCE: f32 = 2e-5;
+/// Heads of the golden models.
+pub(crate) const HEADS: usize = 4;
+
+fn workspace() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Path of shared test material, or `None` with one line on standard output when there is none; a
+/// missing file inside it is the caller's failure.
+pub(crate) fn shared(test: &str, relative: &str) -> Option<PathBuf> {
+    let root = match std::env::var_os("BAILANDO_SHARED") {
+        Some(root) => PathBuf::from(root),
+        None => workspace().join("../shared"),
+    };
+    if std::env::var_os("BAILANDO_SHARED").is_none() && !root.is_dir() {
+        println!("skipped: {test} needs BAILANDO_SHARED");
+        return None;
+    }
+    Some(root.join(relative))
+}
+
+/// Path of a golden file that the repository owns.
+pub(crate) fn fixture(name: &str) -> PathBuf {
+    workspace().join("tests/fixtures/model").join(name)
+}
+
+/// Import options of the golden models.
+pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
+    ImportOptions {
+        vqvae: vqvae.to_owned(),
+        gpt: gpt.to_owned(),
+        out: out.to_owned(),
+        replace: false,
+        heads: HEADS,
+        start_codes: None,
+        training: None,
+        description: Description {
+            name: "tiny".into(),
+            licence: "MIT".into(),
+            profile: Profile::Librosa081,
+            start_codes: Vec::new(),
+            temperature: 0.0,
+            root_height: 0.93,
+            weights: WeightStorage::F32,
+            training: Default::default(),
+        },
+    }
+}
+
+/// An imported model that vanishes with the guard.
+pub(crate) fn imported(mut change: impl FnMut(&mut ImportOptions)) -> (TempDir, ModelDirectory) {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("model");
+    let mut options = options(&fixture("tiny_vqvae.pt"), &fixture("tiny_gpt.pt"), &out);
+    change(&mut options);
+    import(&options).unwrap();
+    let directory = ModelDirectory::open(&out).unwrap();
+    (folder, directory)
+}
+
+pub(crate) fn floats(path: &Path) -> Array2<f32> {
+    ndarray_npy::read_npy(path).unwrap()
+}
+
+pub(crate) fn codes(path: &Path) -> Vec<u32> {
+    let codes: Array1<i64> = ndarray_npy::read_npy(path).unwrap();
+    codes
+        .iter()
+        .map(|&code| u32::try_from(code).unwrap())
+        .collect()
+}
+
+/// Fails where two arrays differ by more than `tolerance`, and says by how much.
+#[track_caller]
+pub(crate) fn assert_close(
+    found: &Array2<f32>,
+    expected: &Array2<f32>,
+    tolerance: f32,
+    what: &str,
+) {
+    assert_eq!(found.dim(), expected.dim(), "{what}: shape");
+    let difference = found.iter().zip(expected).map(|(a, b)| (a - b).abs());
+    let worst = difference.fold(0.0_f32, f32::max);
+    assert!(worst <= tolerance, "{what}: differs by {worst:e}");
+}
+
+/// Some rows of a matrix.
+pub(crate) fn rows(matrix: &Array2<f32>, range: Range<usize>) -> ArrayView2<'_, f32> {
+    matrix.slice_axis(Axis(0), Slice::from(range))
+}
