@@ -137,9 +137,9 @@ print('\n'.join($1))"
 }
 
 mount_image() {
+    local container
     container=$(storage from --pull-never "$image")
     root=$(storage mount "$container")
-    trap 'stop_server; storage rm "$container" >/dev/null' EXIT
 }
 
 measure_root() {
@@ -173,7 +173,7 @@ inside() {
         mount --bind "$root" "$root"
         mount -t proc proc "$root/proc"
         mount -o remount,bind,ro "$root"
-        exec env -i chroot --userspec="$user" "$root" env --chdir="$folder" "$@"
+        exec chroot --userspec="$user" "$root" env -i --chdir="$folder" "$@"
     ' rehearsal "$root" "$user" "$folder" "${environment[@]}" "$@"
 }
 
@@ -187,7 +187,16 @@ server_pid() {
 }
 
 stop_server() {
-    [ -z "$job" ] || kill -TERM "$(server_pid)" 2>/dev/null || true
+    kill -TERM "$(server_pid)"
+}
+
+# The images stay, so that a second rehearsal starts from their layers.
+clean_up() {
+    if [ -n "$job" ]; then
+        stop_server || true
+        wait "$job" || true
+    fi
+    storage rm --all >/dev/null
 }
 
 show_memory() {
@@ -215,7 +224,7 @@ run_server() {
         sleep 0.5
     done
     echo "healthcheck: passes"
-    grep -E '^(Uid|NoNewPrivs)' "/proc/$(server_pid)/status"
+    grep '^Uid' "/proc/$(server_pid)/status"
     show_memory idle
     ask "$song" json
     ask "$song" bvh
@@ -248,6 +257,7 @@ done
 check_tools
 mkdir -p "$work"
 work=$(cd "$work" && pwd)
+trap clean_up EXIT
 make_debian
 make_rust
 build_image
