@@ -3,7 +3,7 @@
 //! The root is an integral of predicted velocities, so small errors add up to a slow drift. A dancer's
 //! lower foot, however, keeps coming back to the floor. The correction is a smooth curve, found so
 //! that in short windows all along the dance the 5th percentile of the lower foot's height is where
-//! recordings have it. A low percentile ignores jumps: a leap lifts most frames of no window.
+//! recordings have it. A low percentile ignores jumps: some frames of every window are on the ground.
 
 use super::{Positions, Skeleton};
 
@@ -20,8 +20,8 @@ const KNOT_SECONDS: f64 = 5.0 / 3.0;
 const STIFFNESS: f64 = 0.05;
 /// Largest error over 5 s that is left alone, metres.
 const TOLERATED: f64 = 0.015;
-/// Rounds of the search. Short windows have settled to a millimetre or two after the first half; only
-/// then is there something to say about 5 s.
+/// Rounds of the search. The first half is for the short windows alone: before they have settled,
+/// errors over 5 s would be counted twice.
 const ROUNDS: usize = 60;
 
 /// Height of the lower foot joint in every frame, metres.
