@@ -8,7 +8,7 @@
 # working folder, command) in a read-only root, asked for a dance, and measured.
 #
 # Usage: scripts/rehearse-image.sh [--work DIR] [--song FILE] [--no-server]
-#   --work DIR    scratch folder, 6 GB (default: target/image-rehearsal)
+#   --work DIR    scratch folder, 3 GB (default: target/image-rehearsal)
 #   --song FILE   what to dance to (default: tests/fixtures/audio/demo.mp3)
 #   --no-server   build and measure only
 # Needs root, Debian or Ubuntu, and: debootstrap buildah curl python3 cargo
@@ -244,6 +244,19 @@ ask() {
         --write-out "POST /generate format=$2: %{http_code}, %{size_download} bytes, %{time_total} s\n" \
         --form "file=@$1" "$url/generate?format=$2&seed=1" ||
         fail "no dance: $(head -c 400 "$work/dance.$2")"
+    python3 - "$work/dance.$2" <<'PYTHON' || fail "$work/dance.$2 is not a dance."
+import json, re, sys
+text = open(sys.argv[1]).read()
+if sys.argv[1].endswith(".json"):
+    dance = json.loads(text)
+    frames, rows = dance["frames"], len(dance["positions"])
+else:
+    motion = text.split("MOTION", 1)[1]
+    frames = int(re.search(r"Frames:\s*(\d+)", motion).group(1))
+    rows = len(motion.strip().splitlines()) - 2
+print(f"  {frames} frames")
+sys.exit(not 0 < frames == rows)
+PYTHON
 }
 
 while [ $# -gt 0 ]; do
