@@ -19,13 +19,17 @@ use ndarray::{Array2, Array3};
 const SONG: &str = "tests/fixtures/audio/demo.ogg";
 
 fn bailando(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_bailando"))
+    let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
+    command
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .args(arguments)
-        .env("COLUMNS", "100")
-        .env_remove("BAILANDO_MODEL_DIR")
-        .output()
-        .expect("the binary runs")
+        .env("COLUMNS", "100");
+    for (name, _) in std::env::vars_os() {
+        if name.to_string_lossy().starts_with("BAILANDO_") {
+            command.env_remove(name);
+        }
+    }
+    command.output().expect("the binary runs")
 }
 
 fn succeed(arguments: &[&str]) -> String {

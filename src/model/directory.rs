@@ -85,9 +85,9 @@ impl ModelDirectory {
 }
 
 fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, ModelError> {
-    let failed = |source| ModelError::Read {
+    let failed = |reason| ModelError::Read {
         path: path.to_path_buf(),
-        source,
+        reason,
     };
     let file = File::open(path).map_err(failed)?;
     let mut bytes = Vec::new();
@@ -96,9 +96,9 @@ fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, ModelError> {
 }
 
 fn check_file(path: &Path, bytes: u64, sha256: &str) -> Result<(), ModelError> {
-    let failed = |source| ModelError::Read {
+    let failed = |reason| ModelError::Read {
         path: path.to_path_buf(),
-        source,
+        reason,
     };
     let mismatch = |what, expected: String, found: String| {
         Err(ModelError::Mismatch {

@@ -7,12 +7,12 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum ModelError {
     /// A file could not be read.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {reason}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
-        source: std::io::Error,
+        /// Why; not a `source`, because the message holds it already.
+        reason: std::io::Error,
     },
     /// `manifest.json` is not a manifest.
     #[error("{}: not a manifest this version reads: {problem}", path.display())]
