@@ -8,7 +8,7 @@ use utoipa::{
     openapi::{
         RefOr,
         path::{Parameter, ParameterBuilder, ParameterIn},
-        schema::{Object, ObjectBuilder, Schema, Type},
+        schema::{KnownFormat, Object, ObjectBuilder, Schema, SchemaFormat, Type},
     },
 };
 
@@ -377,17 +377,28 @@ impl IntoParams for RequestOptions {
     }
 }
 
+/// The bytes of an audio file, as the OpenAPI document shows them.
+pub(crate) struct AudioFile;
+
+impl utoipa::PartialSchema for AudioFile {
+    fn schema() -> RefOr<Schema> {
+        ObjectBuilder::new()
+            .schema_type(Type::String)
+            .format(Some(SchemaFormat::KnownFormat(KnownFormat::Binary)))
+            .description(Some("The song: wav, flac, mp3, ogg/vorbis or m4a/aac."))
+            .into()
+    }
+}
+
+impl utoipa::ToSchema for AudioFile {}
+
 /// The multipart form: the audio and any of the options, as the OpenAPI document shows it.
 pub(crate) struct GenerateForm;
 
 impl utoipa::PartialSchema for GenerateForm {
     fn schema() -> RefOr<Schema> {
-        let audio = ObjectBuilder::new()
-            .schema_type(Type::String)
-            .content_media_type("application/octet-stream")
-            .description(Some("The song: wav, flac, mp3, ogg/vorbis or m4a/aac."));
         let form = ObjectBuilder::new()
-            .property("file", audio)
+            .property("file", AudioFile::schema())
             .required("file")
             .additional_properties(Some(
                 utoipa::openapi::schema::AdditionalProperties::<Schema>::FreeForm(false),
