@@ -38,7 +38,9 @@ RUN apt-get update \
 COPY --from=onnxruntime /opt/onnxruntime/LICENSE /opt/onnxruntime/ThirdPartyNotices.txt \
      /usr/local/share/doc/onnxruntime/
 COPY --from=onnxruntime /opt/onnxruntime/lib/libonnxruntime.so /usr/local/lib/
-ENV ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so
+ENV ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so \
+    BAILANDO_HOST=0.0.0.0 \
+    BAILANDO_MODEL_DIR=/app/models/default
 WORKDIR /app
 COPY LICENSE ./
 COPY models/default models/default
@@ -50,4 +52,4 @@ STOPSIGNAL SIGTERM
 HEALTHCHECK --interval=30s --timeout=5s --start-period=20s --retries=3 \
     CMD ["bailando", "healthcheck", "--url", "http://127.0.0.1:8080/health"]
 ENTRYPOINT ["bailando"]
-CMD ["serve", "--host", "0.0.0.0"]
+CMD ["serve"]

@@ -8,7 +8,7 @@
 # working folder, command) in a read-only root, asked for a dance, and measured.
 #
 # Usage: scripts/rehearse-image.sh [--work DIR] [--song FILE] [--no-server]
-#   --work DIR    scratch folder, 6 GB (default: target/image-rehearsal)
+#   --work DIR    scratch folder, 3 GB (default: target/image-rehearsal)
 #   --song FILE   what to dance to (default: tests/fixtures/audio/demo.mp3)
 #   --no-server   build and measure only
 # Needs root, Debian or Ubuntu, and: debootstrap buildah curl python3 cargo
@@ -137,9 +137,9 @@ print('\n'.join($1))"
 }
 
 mount_image() {
+    local container
     container=$(storage from --pull-never "$image")
     root=$(storage mount "$container")
-    trap 'stop_server; storage rm "$container" >/dev/null' EXIT
 }
 
 measure_root() {
@@ -173,7 +173,7 @@ inside() {
         mount --bind "$root" "$root"
         mount -t proc proc "$root/proc"
         mount -o remount,bind,ro "$root"
-        exec env -i chroot --userspec="$user" "$root" env --chdir="$folder" "$@"
+        exec chroot --userspec="$user" "$root" env -i --chdir="$folder" "$@"
     ' rehearsal "$root" "$user" "$folder" "${environment[@]}" "$@"
 }
 
@@ -187,7 +187,16 @@ server_pid() {
 }
 
 stop_server() {
-    [ -z "$job" ] || kill -TERM "$(server_pid)" 2>/dev/null || true
+    kill -TERM "$(server_pid)"
+}
+
+# The images stay, so that a second rehearsal starts from their layers.
+clean_up() {
+    if [ -n "$job" ]; then
+        stop_server || true
+        wait "$job" || true
+    fi
+    storage rm --all >/dev/null
 }
 
 show_memory() {
@@ -215,7 +224,7 @@ run_server() {
         sleep 0.5
     done
     echo "healthcheck: passes"
-    grep -E '^(Uid|NoNewPrivs)' "/proc/$(server_pid)/status"
+    grep '^Uid' "/proc/$(server_pid)/status"
     show_memory idle
     ask "$song" json
     ask "$song" bvh
@@ -235,6 +244,19 @@ ask() {
         --write-out "POST /generate format=$2: %{http_code}, %{size_download} bytes, %{time_total} s\n" \
         --form "file=@$1" "$url/generate?format=$2&seed=1" ||
         fail "no dance: $(head -c 400 "$work/dance.$2")"
+    python3 - "$work/dance.$2" <<'PYTHON' || fail "$work/dance.$2 is not a dance."
+import json, re, sys
+text = open(sys.argv[1]).read()
+if sys.argv[1].endswith(".json"):
+    dance = json.loads(text)
+    frames, rows = dance["frames"], len(dance["positions"])
+else:
+    motion = text.split("MOTION", 1)[1]
+    frames = int(re.search(r"Frames:\s*(\d+)", motion).group(1))
+    rows = len(motion.strip().splitlines()) - 2
+print(f"  {frames} frames")
+sys.exit(not 0 < frames == rows)
+PYTHON
 }
 
 while [ $# -gt 0 ]; do
@@ -248,6 +270,7 @@ done
 check_tools
 mkdir -p "$work"
 work=$(cd "$work" && pwd)
+trap clean_up EXIT
 make_debian
 make_rust
 build_image

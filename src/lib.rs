@@ -2,7 +2,7 @@
 //! GPT with Choreographic Memory" (CVPR 2022), as a library and an HTTP service.
 //!
 //! One direction: [`audio`] (bytes to PCM) → [`features`] (PCM to 438 columns) → [`model`] (the
-//! only module that knows ONNX Runtime) → [`motion`] (skeleton, kinematics) → [`format`] (JSON,
+//! only module that knows ONNX Runtime) → [`motion`] (skeleton, kinematics) → [`mod@format`] (JSON,
 //! BVH). [`engine`] schedules a generation, [`server`] is HTTP only.
 
 pub mod audio;

@@ -1,5 +1,12 @@
 //! The command line as a user meets it: help, exit codes, one song to every format.
 
+#![allow(
+    clippy::expect_used,
+    clippy::print_stdout,
+    unreachable_pub,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
 mod common;
 
 use std::{

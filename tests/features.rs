@@ -93,12 +93,10 @@ fn golden_clips_of_librosa_0_11() {
 /// Every clip in the older profile: columns 0..54, and the tempogram where there is a file.
 #[test]
 fn golden_clips_of_librosa_0_8_1() {
-    let (Some(root), Some(inputs)) = (
-        common::shared("features/golden_081"),
-        common::shared("features/golden"),
-    ) else {
+    let Some(shared) = common::shared("features") else {
         return;
     };
+    let (root, inputs) = (shared.join("golden_081"), shared.join("golden"));
     let set = GoldenSet::read(&root);
     let mut checked = Checked::default();
     for (name, clip) in set.clips() {
@@ -189,12 +187,10 @@ fn compare_first_columns(
 /// Beats of six whole songs at both rates, from their golden envelopes, in both profiles.
 #[test]
 fn golden_beats_of_whole_songs() {
-    let (Some(root), Some(older)) = (
-        common::shared("features/golden"),
-        common::shared("features/golden_081"),
-    ) else {
+    let Some(shared) = common::shared("features") else {
         return;
     };
+    let (root, older) = (shared.join("golden"), shared.join("golden_081"));
     let songs = GoldenSet::read(&root).beats_only();
     assert_eq!(songs.len(), 6);
     for (name, song) in &songs {

@@ -9,7 +9,7 @@
 
 mod common;
 
-use std::path::Path;
+use std::{ops::Range, path::Path};
 
 use bailando::{
     CancelToken,
@@ -55,7 +55,7 @@ impl Sampling {
     }
 }
 
-/// Runs codes `from..to` with the music rows beside them (the reference drops the first row).
+/// Runs codes `from..to` of the golden models.
 fn run(
     gpt: &mut Gpt,
     cache: &mut KvCache,
@@ -63,11 +63,21 @@ fn run(
     from: usize,
     to: usize,
 ) -> Logits {
-    let music = floats(&fixture("music.npy"));
+    run_beside(gpt, cache, codes, &floats(&fixture("music.npy")), from..to)
+}
+
+/// Runs some codes with the music rows beside them (the reference drops the first row).
+fn run_beside(
+    gpt: &mut Gpt,
+    cache: &mut KvCache,
+    codes: &(Vec<u32>, Vec<u32>),
+    music: &Array2<f32>,
+    range: Range<usize>,
+) -> Logits {
     let steps = Steps {
-        upper: &codes.0[from..to],
-        lower: &codes.1[from..to],
-        music: rows(&music, from + 1..to + 1),
+        upper: &codes.0[range.clone()],
+        lower: &codes.1[range.clone()],
+        music: rows(music, range.start + 1..range.end + 1),
     };
     gpt.run(steps, cache, &CancelToken::new()).unwrap()
 }
@@ -308,15 +318,7 @@ fn the_bootstrap_model_decodes_as_its_card_says() {
     let Some(folder) = shared(test, "model/bootstrap") else {
         return;
     };
-    let codes: Array2<i64> = ndarray_npy::read_npy(folder.join("demo_codes_hop15.npy")).unwrap();
-    let half = |row: usize| {
-        codes
-            .row(row)
-            .iter()
-            .map(|&c| c as u32)
-            .collect::<Vec<u32>>()
-    };
-    let codes = (half(0), half(1));
+    let codes = demo_codes(&folder, "hop15");
     let golden = floats(&folder.join("demo_decode_hop15.npy"));
 
     let (_folder, exact) = bootstrap(&folder, WeightStorage::F32);
@@ -327,4 +329,40 @@ fn the_bootstrap_model_decodes_as_its_card_says() {
     assert_close(&first, &golden, 1e-4, "demo_decode_hop15");
     // Its weights are half precision already: storing them so loses nothing.
     assert_eq!(decode_chunked(&halved, &codes, codes.0.len(), 0), motion);
+}
+
+/// The bootstrap's own codes of the demo song, (upper, lower).
+fn demo_codes(folder: &Path, window: &str) -> (Vec<u32>, Vec<u32>) {
+    let path = folder.join(format!("demo_codes_{window}.npy"));
+    let codes: Array2<i64> = ndarray_npy::read_npy(path).unwrap();
+    let half = |row: usize| codes.row(row).iter().map(|&code| code as u32).collect();
+    (half(0), half(1))
+}
+
+#[test]
+fn the_bootstrap_model_predicts_the_demo_songs_codes() {
+    let test = "the_bootstrap_model_predicts_the_demo_songs_codes";
+    let Some(folder) = shared(test, "model/bootstrap") else {
+        return;
+    };
+    let (_folder, directory) = bootstrap(&folder, WeightStorage::F16);
+    let mut gpt = directory.gpt(1).unwrap();
+    let music = floats(&folder.join("demo_music.npy"));
+    for (sampling, window) in SAMPLINGS.iter().zip(["sliding", "hop15"]) {
+        let codes = demo_codes(&folder, window);
+        assert_eq!(codes.0.len(), music.nrows());
+        for k in 0..codes.0.len() - 1 {
+            let from = k + 1 - sampling.window(k);
+            let mut cache = gpt.empty_cache().unwrap();
+            let logits = run_beside(&mut gpt, &mut cache, &codes, &music, from..k + 1);
+            let next = [&logits.upper, &logits.lower].map(|half| first_maximum(&last_row(half)));
+            let expected = [codes.0[k + 1], codes.1[k + 1]];
+            assert_eq!(next.map(|code| code as u32), expected, "{window} step {k}");
+        }
+    }
+}
+
+fn first_maximum(row: &Array2<f32>) -> usize {
+    let best = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+    row.iter().position(|&value| value == best).unwrap()
 }
