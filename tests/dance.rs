@@ -1,0 +1,246 @@
+//! The demo song danced to by the default model: as long as the song in every container, a
+//! plausible body that moves, on the floor, and not the same dance twice.
+
+#![allow(
+    clippy::expect_used,
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
+use std::{collections::HashSet, path::Path, sync::OnceLock};
+
+use bailando::{
+    CancelToken,
+    audio::AudioLimits,
+    engine::{Choreographer, EngineConfig, GenerationOptions},
+    format::{BvhUnit, Dance, JsonOptions, OutputFormat},
+    motion::{Positions, forward, lower_foot_heights},
+};
+use ndarray::Axis;
+
+const SONG_SECONDS: f64 = 30.0;
+const FPS: usize = 60;
+
+fn choreographer() -> &'static Choreographer {
+    static MODEL: OnceLock<Choreographer> = OnceLock::new();
+    MODEL.get_or_init(|| {
+        Choreographer::open(&EngineConfig {
+            model_dir: Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default"),
+            threads: 2,
+            queue: 8,
+            audio: AudioLimits::default(),
+        })
+        .unwrap()
+    })
+}
+
+fn fixture(name: &str) -> Vec<u8> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/audio");
+    std::fs::read(folder.join(name)).unwrap()
+}
+
+fn dance(audio: Vec<u8>, seed: u64) -> Dance {
+    let options = GenerationOptions {
+        seed: Some(seed),
+        music: true,
+        ..GenerationOptions::default()
+    };
+    choreographer()
+        .generate(audio.into(), &options, &CancelToken::new())
+        .unwrap()
+}
+
+/// The flac's samples as a 16-bit mono wav at its own rate.
+fn wav_of_the_flac() -> Vec<u8> {
+    const RATE: u32 = 32_000;
+    let decoded = bailando::audio::decode(
+        fixture("demo.flac").into(),
+        Default::default(),
+        &[RATE],
+        &AudioLimits::default(),
+        &CancelToken::new(),
+    )
+    .unwrap();
+    wav(&decoded.signals[0], RATE)
+}
+
+fn wav(samples: &[f32], rate: u32) -> Vec<u8> {
+    let data: Vec<u8> = samples
+        .iter()
+        .flat_map(|sample| {
+            ((sample * 32_768.0).round().clamp(-32_768.0, 32_767.0) as i16).to_le_bytes()
+        })
+        .collect();
+    let mut bytes = b"RIFF".to_vec();
+    bytes.extend((36 + data.len() as u32).to_le_bytes());
+    bytes.extend(b"WAVEfmt ");
+    bytes.extend(16_u32.to_le_bytes());
+    bytes.extend([1, 0, 1, 0]);
+    bytes.extend(rate.to_le_bytes());
+    bytes.extend((2 * rate).to_le_bytes());
+    bytes.extend([2, 0, 16, 0]);
+    bytes.extend(b"data");
+    bytes.extend((data.len() as u32).to_le_bytes());
+    bytes.extend(data);
+    bytes
+}
+
+/// Ten seconds of clicks at 90 beats a minute over a low note: another song.
+fn other_song() -> Vec<u8> {
+    const RATE: u32 = 22_050;
+    let samples: Vec<f32> = (0..10 * RATE)
+        .map(|index| {
+            let time = index as f32 / RATE as f32;
+            let since_beat = time % (60.0 / 90.0);
+            let click = (-since_beat * 60.0).exp() * (time * 6_000.0).sin();
+            0.5 * click + 0.2 * (time * 2.0 * std::f32::consts::PI * 110.0).sin()
+        })
+        .collect();
+    wav(&samples, RATE)
+}
+
+fn joint(positions: &Positions, frame: usize, joint: usize) -> [f32; 3] {
+    [0, 1, 2].map(|axis| positions[[frame, joint, axis]])
+}
+
+fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+    a.iter()
+        .zip(b)
+        .map(|(a, b)| (a - b).powi(2))
+        .sum::<f32>()
+        .sqrt()
+}
+
+/// Metres per second, mean over joints and frames.
+fn mean_speed(positions: &Positions) -> f32 {
+    let (frames, joints, _) = positions.dim();
+    let mut sum = 0.0;
+    for frame in 1..frames {
+        for index in 0..joints {
+            sum += distance(
+                joint(positions, frame, index),
+                joint(positions, frame - 1, index),
+            );
+        }
+    }
+    sum * FPS as f32 / ((frames - 1) * joints) as f32
+}
+
+fn percentile(values: &[f32], share: f32) -> f32 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f32::total_cmp);
+    sorted[(share * (sorted.len() - 1) as f32).round() as usize]
+}
+
+/// DESIGN, "Standing on the floor".
+fn assert_on_the_floor(dance: &Dance, positions: &Positions, what: &str) {
+    let feet = lower_foot_heights(positions, &dance.skeleton);
+    for (start, window) in feet.windows(5 * FPS).enumerate() {
+        let low = percentile(window, 0.05);
+        assert!(
+            (low - 0.015).abs() <= 0.05,
+            "{what}: feet at {low} m from frame {start}"
+        );
+    }
+}
+
+fn assert_plausible(dance: &Dance, what: &str) {
+    let positions = &dance.positions;
+    let frames = positions.dim().0;
+    for frame in 0..frames {
+        let pelvis = joint(positions, frame, 0)[1];
+        assert!(
+            (0.6..=1.2).contains(&pelvis),
+            "{what}: pelvis at {pelvis} m in frame {frame}"
+        );
+        let heights = positions.index_axis(Axis(0), frame);
+        let highest = heights.column(1).iter().copied().fold(f32::MIN, f32::max);
+        let lowest = heights.column(1).iter().copied().fold(f32::MAX, f32::min);
+        let body = highest - lowest;
+        assert!(
+            (0.9..=2.2).contains(&body),
+            "{what}: {body} m tall in frame {frame}"
+        );
+    }
+    let speed = mean_speed(positions);
+    assert!(
+        (0.3..=2.0).contains(&speed),
+        "{what}: mean joint speed {speed} m/s"
+    );
+    assert_on_the_floor(dance, positions, what);
+    let skeleton_positions = forward(&dance.skeleton, &dance.animation).unwrap();
+    assert_on_the_floor(dance, &skeleton_positions, &format!("{what}, skeleton"));
+    for (half, codes) in [("upper", &dance.codes.upper), ("lower", &dance.codes.lower)] {
+        let distinct = codes.iter().collect::<HashSet<_>>().len();
+        assert!(distinct >= 30, "{what}: {distinct} distinct {half} codes");
+    }
+}
+
+#[test]
+fn every_container_of_the_demo_song_becomes_a_plausible_dance_of_its_length() {
+    let songs = ["demo.ogg", "demo.mp3", "demo.flac", "demo.m4a"];
+    let songs = songs.map(|name| (name, fixture(name)));
+    for (name, audio) in songs.into_iter().chain([("demo.wav", wav_of_the_flac())]) {
+        let dance = dance(audio, 1);
+        let frames = dance.positions.dim().0;
+        let expected = (SONG_SECONDS * FPS as f64) as usize;
+        assert!(frames.abs_diff(expected) <= 8, "{name}: {frames} frames");
+        assert_plausible(&dance, name);
+        let json = OutputFormat::Json
+            .write(&dance, &JsonOptions::default(), BvhUnit::Centimetre)
+            .unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+        assert_eq!(json["frames"], frames, "{name}");
+        let bvh = OutputFormat::Bvh
+            .write(&dance, &JsonOptions::default(), BvhUnit::Centimetre)
+            .unwrap();
+        let bvh = String::from_utf8(bvh).unwrap();
+        assert!(bvh.contains(&format!("Frames: {frames}")), "{name}");
+    }
+}
+
+#[test]
+fn two_seeds_and_two_songs_give_different_dances_and_a_seed_repeats_itself() {
+    let demo = || fixture("demo.ogg");
+    let first = dance(demo(), 1).codes;
+    assert_eq!(first, dance(demo(), 1).codes);
+    assert_ne!(first, dance(demo(), 2).codes);
+    let other = dance(other_song(), 1).codes;
+    let length = other.upper.len().min(first.upper.len());
+    assert_ne!(first.upper[..length], other.upper[..length]);
+    assert_ne!(first.lower[..length], other.lower[..length]);
+}
+
+#[test]
+fn other_frame_rates_and_a_dancer_in_place() {
+    for (fps, expected) in [(20, 80), (24, 96), (30, 120), (60, 240)] {
+        let options = GenerationOptions {
+            seed: Some(3),
+            fps,
+            root_motion: false,
+            range: bailando::audio::AudioRange {
+                offset_s: 2.0,
+                duration_s: Some(4.0),
+            },
+            ..GenerationOptions::default()
+        };
+        let dance = choreographer()
+            .generate(fixture("demo.ogg").into(), &options, &CancelToken::new())
+            .unwrap();
+        let frames = dance.positions.dim().0;
+        let code = (8 * fps as usize).div_ceil(60);
+        assert!(
+            (expected..=expected + code).contains(&frames),
+            "{fps} fps: {frames}"
+        );
+        assert_eq!(dance.animation.root.len(), frames);
+        assert!(
+            dance
+                .animation
+                .root
+                .iter()
+                .all(|root| root.x == 0.0 && root.z == 0.0)
+        );
+    }
+}
