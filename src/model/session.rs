@@ -2,7 +2,7 @@
 
 use std::{path::Path, sync::Arc};
 
-use ndarray::{ArrayView, Dimension};
+use ndarray::{Array2, ArrayView, Axis, Dimension, Ix3};
 use ort::{
     ep,
     session::{RunOptions, Session, SessionInputValue, SessionOutputs},
@@ -139,4 +139,27 @@ pub(super) fn take(
         graph,
         problem: format!("it has no output named {name}"),
     })
+}
+
+/// Takes the named output `[1, rows, columns]` out of a run, as `[rows, columns]`.
+pub(super) fn take_matrix(
+    graph: &'static str,
+    outputs: &mut SessionOutputs<'_>,
+    name: &str,
+    rows: usize,
+) -> Result<Array2<f32>, ModelError> {
+    let value = take(graph, outputs, name)?;
+    let wrong = |problem: String| ModelError::Run { graph, problem };
+    let array = value
+        .try_extract_array::<f32>()
+        .map_err(|e| wrong(e.to_string()))?;
+    let array = array
+        .into_dimensionality::<Ix3>()
+        .map_err(|e| wrong(e.to_string()))?;
+    let (batch, found, _) = array.dim();
+    if batch != 1 || found != rows {
+        let problem = format!("{name} has shape {:?}, expected {rows} rows", array.dim());
+        return Err(wrong(problem));
+    }
+    Ok(array.index_axis(Axis(0), 0).to_owned())
 }
