@@ -8,6 +8,7 @@ pub mod checkpoint;
 pub mod cli;
 pub mod export;
 pub mod import;
+pub mod nn;
 pub mod onnx;
 mod tensor;
 pub mod weights;

@@ -1,0 +1,20 @@
+//! The networks as they are trained, generic over the backend.
+//!
+//! A network is a plan: sizes, and places in a list of [`Parameters`]. The same plan runs on tensors
+//! that record derivatives (training) and on those that do not (testing, frozen parts). Weights come
+//! in and go out as the structs of [`crate::weights`], so random starts, official checkpoints and
+//! exports share one path.
+
+mod codebook;
+mod convolution;
+mod gpt;
+mod initial;
+mod parameters;
+mod vqvae;
+
+pub use codebook::{Codebook, MovingAverage};
+pub use gpt::{GptNet, Logits};
+pub use initial::{GptSizes, VqVaeSizes, random_gpt, random_vqvae};
+pub(crate) use parameters::values;
+pub use parameters::{Parameters, Store};
+pub use vqvae::{DecoderNet, EncoderNet, HalfNet};

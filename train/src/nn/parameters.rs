@@ -1,0 +1,147 @@
+//! Learned tensors: as a named list on the host, and as the same list on a device.
+
+use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
+
+use crate::Tensor;
+
+/// Place of a tensor in a [`Store`] and in the [`Parameters`] made of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Slot(usize);
+
+/// Named tensors on the host, in the layout that the forward passes want.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Store {
+    entries: Vec<(String, Tensor)>,
+}
+
+impl Store {
+    /// Appends a tensor.
+    pub(super) fn push(&mut self, name: String, tensor: Tensor) -> Slot {
+        self.entries.push((name, tensor));
+        Slot(self.entries.len() - 1)
+    }
+
+    pub(super) fn get(&self, slot: Slot) -> &Tensor {
+        &self.entries[slot.0].1
+    }
+
+    /// Names and tensors, in order.
+    #[must_use]
+    pub fn entries(&self) -> &[(String, Tensor)] {
+        &self.entries
+    }
+
+    /// The same names and shapes with other values.
+    #[must_use]
+    pub fn with_values(&self, values: Vec<Vec<f32>>) -> Self {
+        let entries = self.entries.iter().zip(values);
+        Self {
+            entries: entries
+                .map(|((name, old), mut values)| {
+                    let mut values = values.drain(..);
+                    let tensor = Tensor::from_fn(old.shape().to_vec(), |_| {
+                        values.next().unwrap_or(f32::NAN)
+                    });
+                    (name.clone(), tensor)
+                })
+                .collect(),
+        }
+    }
+}
+
+/// The tensors of a [`Store`] on a device, flat; a forward pass gives them their shape.
+///
+/// One rank for all keeps the optimiser and the files free of ranks.
+#[derive(Clone, Debug)]
+pub struct Parameters<B: Backend> {
+    tensors: Vec<Device<B, 1>>,
+    shapes: Vec<Vec<usize>>,
+    device: B::Device,
+}
+
+impl<B: Backend> Parameters<B> {
+    /// Copies a store to `device`.
+    #[must_use]
+    pub fn from_store(store: &Store, device: &B::Device) -> Self {
+        let tensors = store.entries.iter().map(|(_, tensor)| {
+            let data = tensor.data().to_vec();
+            let length = data.len();
+            Device::from_data(TensorData::new(data, [length]), device)
+        });
+        Self {
+            tensors: tensors.collect(),
+            shapes: store
+                .entries
+                .iter()
+                .map(|(_, tensor)| tensor.shape().to_vec())
+                .collect(),
+            device: device.clone(),
+        }
+    }
+
+    /// Copies the values back to the host, under the names of `store`.
+    #[must_use]
+    pub fn to_store(&self, store: &Store) -> Store {
+        store.with_values(self.tensors.iter().map(values).collect())
+    }
+
+    /// The device that the tensors are on.
+    #[must_use]
+    pub fn device(&self) -> &B::Device {
+        &self.device
+    }
+
+    /// The flat tensors, in the store's order.
+    #[must_use]
+    pub fn tensors(&self) -> &[Device<B, 1>] {
+        &self.tensors
+    }
+
+    /// The flat tensors, to be replaced by others of the same length.
+    pub(crate) fn tensors_mut(&mut self) -> &mut [Device<B, 1>] {
+        &mut self.tensors
+    }
+
+    /// One tensor in its shape.
+    pub(super) fn get<const D: usize>(&self, slot: Slot) -> Device<B, D> {
+        let mut shape = [1; D];
+        shape.copy_from_slice(&self.shapes[slot.0]);
+        self.tensors[slot.0].clone().reshape(shape)
+    }
+
+    /// The first dimensions taken together: a matrix with as many columns as the last dimension.
+    pub(super) fn matrix(&self, slot: Slot) -> Device<B, 2> {
+        let columns = self.shapes[slot.0].last().copied().unwrap_or(1);
+        let tensor = self.tensors[slot.0].clone();
+        let rows = tensor.dims()[0] / columns.max(1);
+        tensor.reshape([rows, columns])
+    }
+
+    /// A tensor of one dimension as a row, to be added to every row of a matrix.
+    pub(super) fn row(&self, slot: Slot) -> Device<B, 2> {
+        let tensor = self.tensors[slot.0].clone();
+        let length = tensor.dims()[0];
+        tensor.reshape([1, length])
+    }
+
+    /// The same values, recording what is computed with them.
+    #[must_use]
+    pub fn tracked<A: AutodiffBackend<InnerBackend = B, Device = B::Device>>(&self) -> Parameters<A>
+    where
+        A: Backend<Device = B::Device>,
+    {
+        let tensors = self.tensors.iter();
+        Parameters {
+            tensors: tensors
+                .map(|tensor| Device::from_inner(tensor.clone()).require_grad())
+                .collect(),
+            shapes: self.shapes.clone(),
+            device: self.device.clone(),
+        }
+    }
+}
+
+/// The values of a tensor on the host, in row-major order.
+pub(crate) fn values<B: Backend, const D: usize>(tensor: &Device<B, D>) -> Vec<f32> {
+    tensor.to_data().iter::<f32>().collect()
+}
