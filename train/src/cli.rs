@@ -12,6 +12,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use crate::{
     export::Description,
     import::{ImportOptions, import},
+    training::{Config, Limits, Load, MotionSet, Outcome, Stage, export, train},
 };
 
 /// Offline companion of bailando: makes the model directories that the server runs.
@@ -25,6 +26,44 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Import(Box<ImportArguments>),
+    /// Train both halves of the pose VQ-VAE
+    #[command(name = "vqvae")]
+    VqVae(StageArguments),
+    /// Train the root's velocity on the finished VQ-VAE
+    Velocity(StageArguments),
+    /// Train the motion GPT on the finished VQ-VAE's codes
+    Gpt(StageArguments),
+    /// Write the model directory of a finished run
+    Export(RunArguments),
+}
+
+#[derive(Args, Debug)]
+struct RunArguments {
+    /// Settings; what the file does not say is as published
+    config: PathBuf,
+
+    /// Replace the model that is already there (export)
+    #[arg(long)]
+    force: bool,
+}
+
+/// A stage goes on from its last checkpoint; a kill loses at most `run.checkpoint_seconds`.
+#[derive(Args, Debug)]
+struct StageArguments {
+    /// Settings; what the file does not say is as published
+    config: PathBuf,
+
+    /// Official checkpoint to start from (vqvae and gpt)
+    #[arg(long, value_name = "FILE.pt")]
+    init: Option<PathBuf>,
+
+    /// Write a checkpoint and stop after this many seconds; the same command goes on
+    #[arg(long, value_name = "S")]
+    max_seconds: Option<f64>,
+
+    /// Write a checkpoint and stop after this many steps; the same command goes on
+    #[arg(long, value_name = "N")]
+    max_steps: Option<u64>,
 }
 
 /// Turn official PyTorch checkpoints into a model directory.
@@ -134,7 +173,44 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             report(&options, &manifest, output)?;
             Ok(())
         }
+        Command::VqVae(arguments) => train_stage(Stage::VqVae, &arguments, output),
+        Command::Velocity(arguments) => train_stage(Stage::Velocity, &arguments, output),
+        Command::Gpt(arguments) => train_stage(Stage::Gpt, &arguments, output),
+        Command::Export(arguments) => {
+            let config = Config::read(&arguments.config)?;
+            let manifest = export(&config, arguments.force)?;
+            let folder = config.export.folder.display();
+            writeln!(output, "wrote {folder} ({})", manifest.name)?;
+            Ok(())
+        }
     }
+}
+
+fn train_stage(
+    stage: Stage,
+    arguments: &StageArguments,
+    output: &mut impl Write,
+) -> anyhow::Result<()> {
+    let config = Config::read(&arguments.config)?;
+    let load = match stage {
+        Stage::Gpt => Load::Music(config.data.profile),
+        Stage::VqVae | Stage::Velocity => Load::Motion,
+    };
+    anyhow::ensure!(
+        arguments.init.is_none() || stage != Stage::Velocity,
+        "velocity has no --init: it starts from the VQ-VAE of the run"
+    );
+    let set = MotionSet::read(&config.data.folder, load)?;
+    let limits = Limits {
+        seconds: arguments.max_seconds,
+        steps: arguments.max_steps,
+    };
+    let init = arguments.init.as_deref();
+    match train(stage, &config, &set, init, limits, output)? {
+        Outcome::Finished => writeln!(output, "finished")?,
+        Outcome::Paused => writeln!(output, "paused: the same command goes on")?,
+    }
+    Ok(())
 }
 
 impl From<ImportArguments> for ImportOptions {

@@ -11,6 +11,7 @@ pub mod import;
 pub mod nn;
 pub mod onnx;
 mod tensor;
+pub mod training;
 pub mod weights;
 
 pub use tensor::{ShapeMismatch, Tensor};

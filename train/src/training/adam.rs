@@ -1,0 +1,125 @@
+//! Adam, with the length of the gradient limited over all tensors together.
+
+use burn_tensor::{Tensor as Device, backend::Backend};
+
+const EPSILON: f64 = 1e-8;
+
+/// Moments of every tensor, and what a step does with them.
+#[derive(Clone, Debug)]
+pub(super) struct Adam<B: Backend> {
+    pub(super) first: Vec<Device<B, 1>>,
+    pub(super) second: Vec<Device<B, 1>>,
+    betas: [f64; 2],
+}
+
+impl<B: Backend> Adam<B> {
+    pub(super) fn new(tensors: &[Device<B, 1>], betas: [f64; 2]) -> Self {
+        let zeros: Vec<_> = tensors.iter().map(Device::zeros_like).collect();
+        Self {
+            first: zeros.clone(),
+            second: zeros,
+            betas,
+        }
+    }
+
+    /// One step, the `step`-th counted from 0. A tensor without a gradient stays as it is.
+    pub(super) fn step(
+        &mut self,
+        tensors: &mut [Device<B, 1>],
+        gradients: Vec<Option<Device<B, 1>>>,
+        rate: f64,
+        step: u64,
+    ) {
+        let [beta1, beta2] = self.betas;
+        let count = i32::try_from(step + 1).unwrap_or(i32::MAX);
+        let correction1 = 1.0 - beta1.powi(count);
+        let correction2 = 1.0 - beta2.powi(count);
+        let moments = self.first.iter_mut().zip(&mut self.second);
+        for ((tensor, gradient), (first, second)) in tensors.iter_mut().zip(gradients).zip(moments)
+        {
+            let Some(gradient) = gradient else { continue };
+            *first = first.clone().mul_scalar(beta1) + gradient.clone().mul_scalar(1.0 - beta1);
+            *second = second.clone().mul_scalar(beta2) + gradient.square().mul_scalar(1.0 - beta2);
+            let spread = second
+                .clone()
+                .div_scalar(correction2)
+                .sqrt()
+                .add_scalar(EPSILON);
+            let change = first.clone().mul_scalar(rate / correction1) / spread;
+            *tensor = tensor.clone() - change;
+        }
+    }
+}
+
+/// Scales all gradients by one factor so that together they are at most `longest` long; 0 leaves
+/// them alone.
+pub(super) fn clip<B: Backend>(gradients: &mut [Option<Device<B, 1>>], longest: f64) {
+    if longest <= 0.0 {
+        return;
+    }
+    let squares = gradients
+        .iter()
+        .flatten()
+        .map(|gradient| gradient.clone().square().sum());
+    let Some(square) = squares.reduce(|sum, square| sum + square) else {
+        return;
+    };
+    // Never read back: a read would make the host wait for the device at every step.
+    let factor = (square.sqrt().add_scalar(1e-12))
+        .recip()
+        .mul_scalar(longest)
+        .clamp_max(1.0);
+    for gradient in gradients.iter_mut().flatten() {
+        *gradient = gradient.clone() * factor.clone();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn_flex::Flex;
+
+    use super::*;
+
+    fn tensor(values: [f32; 2]) -> Device<Flex, 1> {
+        Device::from_floats(values, &Default::default())
+    }
+
+    fn values(tensor: &Device<Flex, 1>) -> Vec<f32> {
+        tensor.to_data().iter::<f32>().collect()
+    }
+
+    #[test]
+    fn steps_follow_the_definition() {
+        let mut tensors = [tensor([1.0, -2.0])];
+        let mut adam = Adam::new(&tensors, [0.9, 0.99]);
+        let (mut weight, mut first, mut second) = (1.0_f64, 0.0_f64, 0.0_f64);
+        for (step, gradient) in [0.5, -0.1, 3.0].into_iter().enumerate() {
+            let gradients = vec![Some(tensor([gradient as f32, 0.0]))];
+            adam.step(&mut tensors, gradients, 0.01, step as u64);
+            first = 0.9 * first + 0.1 * gradient;
+            second = 0.99 * second + 0.01 * gradient * gradient;
+            let count = step as i32 + 1;
+            let (m, v) = (
+                first / (1.0 - 0.9_f64.powi(count)),
+                second / (1.0 - 0.99_f64.powi(count)),
+            );
+            weight -= 0.01 * m / (v.sqrt() + 1e-8);
+        }
+        let found = values(&tensors[0]);
+        assert!(
+            (f64::from(found[0]) - weight).abs() < 1e-6,
+            "{found:?} {weight}"
+        );
+        assert_eq!(found[1], -2.0);
+    }
+
+    #[test]
+    fn clipping_keeps_the_direction() {
+        let mut gradients = [Some(tensor([3.0, 0.0])), None, Some(tensor([0.0, 4.0]))];
+        clip(&mut gradients, 10.0);
+        assert_eq!(values(gradients[0].as_ref().unwrap()), [3.0, 0.0]);
+        clip(&mut gradients, 1.0);
+        let found = values(gradients[2].as_ref().unwrap());
+        assert!((found[1] - 0.8).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,308 @@
+//! Settings of a run, read from TOML over the published ones.
+
+use std::path::{Path, PathBuf};
+
+use bailando::{features::Profile, model::WeightStorage};
+use serde::{Deserialize, Serialize};
+
+use super::TrainError;
+
+/// The file that says every setting, with a comment on each.
+const BASE: &str = include_str!("../../presets/paper.toml");
+
+/// Everything that a run can be told; `train/presets/paper.toml` explains every field.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the commented preset is the documentation")]
+pub struct Config {
+    pub data: DataConfig,
+    pub run: RunConfig,
+    pub vqvae: VqVaeConfig,
+    pub velocity: VelocityConfig,
+    pub gpt: GptConfig,
+    pub export: ExportConfig,
+}
+
+/// Where motion and music come from.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DataConfig {
+    pub folder: PathBuf,
+    pub profile: Profile,
+}
+
+/// Where and how a run happens.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunConfig {
+    pub folder: PathBuf,
+    pub device: String,
+    pub seed: u64,
+    pub checkpoint_seconds: f64,
+    pub log_steps: u64,
+}
+
+/// Stage `vqvae`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VqVaeConfig {
+    pub width: usize,
+    pub embedding: usize,
+    pub codes: usize,
+    pub frames: usize,
+    pub stride: usize,
+    pub velocity_weight: f64,
+    pub acceleration_weight: f64,
+    pub commitment: f64,
+    pub decay: f64,
+    pub restart_below: f64,
+    pub training: TrainingConfig,
+}
+
+/// Stage `velocity`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VelocityConfig {
+    pub frames: usize,
+    pub stride: usize,
+    pub difference_weight: f64,
+    pub training: TrainingConfig,
+}
+
+/// Stage `gpt`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GptConfig {
+    pub channels: usize,
+    pub heads: usize,
+    pub base_layers: usize,
+    pub head_layers: usize,
+    pub block: usize,
+    pub stride: usize,
+    pub dropout: f64,
+    pub standardise_music: bool,
+    pub training: TrainingConfig,
+}
+
+/// Length and optimiser of a stage.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the commented preset is the documentation")]
+pub struct TrainingConfig {
+    pub batch: usize,
+    pub epochs: u64,
+    pub steps: u64,
+    pub rate: f64,
+    pub betas: [f64; 2],
+    pub schedule: Schedule,
+    pub milestones: Vec<f64>,
+    pub factor: f64,
+    pub warmup_steps: u64,
+    pub clip: f64,
+}
+
+/// How the learning rate falls.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Schedule {
+    /// By `factor` at each of `milestones`.
+    Milestones,
+    /// Along half a cosine down to `factor`.
+    Cosine,
+}
+
+/// Stage `export`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExportConfig {
+    pub folder: PathBuf,
+    pub name: String,
+    pub licence: String,
+    pub root_height: f32,
+    pub temperature: f32,
+    pub weights: WeightStorage,
+}
+
+impl Config {
+    /// Reads a file, laid over the published settings.
+    ///
+    /// # Errors
+    /// [`TrainError`] names the file and what is wrong in it.
+    pub fn read(path: &Path) -> Result<Self, TrainError> {
+        let text = std::fs::read_to_string(path).map_err(TrainError::file(path))?;
+        Self::parse(&text).map_err(|message| TrainError::Config {
+            path: path.to_owned(),
+            message,
+        })
+    }
+
+    /// Reads settings, laid over the published ones.
+    ///
+    /// # Errors
+    /// One line on what is wrong.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let table = |text: &str| {
+            text.parse::<toml::Table>()
+                .map_err(|error| error.to_string())
+        };
+        let mut settings = table(BASE)?;
+        overlay(&mut settings, table(text)?);
+        let config: Self = settings.try_into().map_err(|error| error.to_string())?;
+        config.check()?;
+        Ok(config)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let stages = [
+            ("vqvae", &self.vqvae.training),
+            ("velocity", &self.velocity.training),
+            ("gpt", &self.gpt.training),
+        ];
+        for (stage, training) in stages {
+            training
+                .check()
+                .map_err(|message| format!("{stage}.training: {message}"))?;
+        }
+        let crops = [
+            ("vqvae", self.vqvae.frames, self.vqvae.stride),
+            ("velocity", self.velocity.frames, self.velocity.stride),
+        ];
+        for (stage, frames, stride) in crops {
+            if frames == 0 || !frames.is_multiple_of(super::FRAMES_PER_CODE) || stride == 0 {
+                return Err(format!(
+                    "{stage}: frames ({frames}) must be a multiple of 8 and stride ({stride}) at least 1"
+                ));
+            }
+        }
+        let gpt = &self.gpt;
+        if gpt.heads == 0 || !gpt.channels.is_multiple_of(gpt.heads) {
+            let (channels, heads) = (gpt.channels, gpt.heads);
+            return Err(format!(
+                "gpt: {channels} channels cannot be divided among {heads} heads"
+            ));
+        }
+        let sizes = [
+            ("vqvae.width", self.vqvae.width),
+            ("vqvae.embedding", self.vqvae.embedding),
+            ("vqvae.codes", self.vqvae.codes),
+            ("gpt.channels", gpt.channels),
+            ("gpt.block", gpt.block),
+            ("gpt.stride", gpt.stride),
+            ("gpt.base_layers", gpt.base_layers),
+        ];
+        match sizes.into_iter().find(|&(_, size)| size == 0) {
+            Some((name, _)) => Err(format!("{name} must be at least 1")),
+            None if !(0.0..1.0).contains(&gpt.dropout) => {
+                Err(format!("gpt.dropout ({}) must lie in 0..1", gpt.dropout))
+            }
+            None if self.run.log_steps == 0 => Err("run.log_steps must be at least 1".into()),
+            None => Ok(()),
+        }
+    }
+}
+
+impl TrainingConfig {
+    fn check(&self) -> Result<(), String> {
+        if self.batch == 0 || (self.steps == 0 && self.epochs == 0) {
+            return Err("batch and one of steps and epochs must be at least 1".into());
+        }
+        if !(self.rate > 0.0 && self.rate.is_finite()) {
+            return Err(format!("rate ({}) must be above 0", self.rate));
+        }
+        if self.betas.iter().any(|beta| !(0.0..1.0).contains(beta)) {
+            return Err(format!("betas ({:?}) must lie in 0..1", self.betas));
+        }
+        Ok(())
+    }
+
+    /// Steps of the whole stage over `windows` different windows.
+    pub(super) fn total_steps(&self, windows: usize) -> u64 {
+        if self.steps > 0 {
+            return self.steps;
+        }
+        (self.epochs * windows as u64).div_ceil(self.batch as u64)
+    }
+
+    /// The learning rate of a step out of `total`.
+    pub(super) fn rate_at(&self, step: u64, total: u64) -> f64 {
+        let share = step as f64 / total.max(1) as f64;
+        let fall = match self.schedule {
+            Schedule::Milestones => {
+                let passed = self
+                    .milestones
+                    .iter()
+                    .filter(|&&milestone| share >= milestone);
+                self.factor.powi(passed.count() as i32)
+            }
+            Schedule::Cosine => {
+                let wave = 0.5 * (1.0 + (std::f64::consts::PI * share).cos());
+                self.factor + (1.0 - self.factor) * wave
+            }
+        };
+        let warm = (step + 1) as f64 / (self.warmup_steps + 1) as f64;
+        self.rate * fall * warm.min(1.0)
+    }
+}
+
+/// Replaces values of `base` by those of `other`, table by table.
+fn overlay(base: &mut toml::Table, other: toml::Table) {
+    for (key, value) in other {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(base)), toml::Value::Table(value)) => overlay(base, value),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_is_read() {
+        let presets = [
+            BASE,
+            include_str!("../../presets/default.toml"),
+            include_str!("../../presets/tiny.toml"),
+        ];
+        let widths = presets.map(|text| Config::parse(text).unwrap().vqvae.width);
+        assert_eq!(widths, [512, 256, 16]);
+    }
+
+    #[test]
+    fn a_file_changes_only_what_it_says() {
+        let config = Config::parse("[vqvae.training]\nrate = 0.5").unwrap();
+        assert_eq!(config.vqvae.training.rate, 0.5);
+        assert_eq!(config.vqvae.training.batch, 32);
+        assert_eq!(config.gpt.training.rate, 3e-4);
+    }
+
+    #[test]
+    fn mistakes_are_refused() {
+        for text in [
+            "[vqvae]\nwidht = 3",
+            "[vqvae]\nframes = 60",
+            "[gpt]\nheads = 5",
+            "[gpt.training]\nrate = 0",
+            "[gpt.training]\nbetas = [1.0, 0.9]",
+        ] {
+            assert!(Config::parse(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn rates_fall_as_scheduled() {
+        let mut training = Config::parse("").unwrap().vqvae.training;
+        training.rate = 1.0;
+        let rates = [0, 19, 20, 40].map(|step| training.rate_at(step, 100));
+        for (rate, wanted) in rates.into_iter().zip([1.0, 1.0, 0.1, 0.01]) {
+            assert!((rate - wanted).abs() < 1e-12);
+        }
+        training.schedule = Schedule::Cosine;
+        assert!((training.rate_at(50, 100) - 0.55).abs() < 1e-12);
+        training.warmup_steps = 9;
+        assert!((training.rate_at(0, 100) - 0.1).abs() < 1e-3);
+    }
+}

@@ -1,0 +1,100 @@
+//! Devices, chosen at run time.
+
+use std::{io::Write, path::Path};
+
+use burn_autodiff::Autodiff;
+use burn_tensor::backend::AutodiffBackend;
+
+use super::{
+    Config, Limits, MotionSet, Outcome, TrainError, gpt::GptWork, runner::run,
+    velocity::VelocityWork, vqvae::VqVaeWork,
+};
+
+/// A stage that learns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Both halves of the pose VQ-VAE.
+    VqVae,
+    /// The root's velocity.
+    Velocity,
+    /// The motion GPT.
+    Gpt,
+}
+
+/// Runs a stage on the device that the configuration names. `init` is an official checkpoint to
+/// start from; `velocity` has none.
+///
+/// # Errors
+/// Any [`TrainError`]; the last checkpoint stays.
+pub fn train(
+    stage: Stage,
+    config: &Config,
+    set: &MotionSet,
+    init: Option<&Path>,
+    limits: Limits,
+    output: &mut impl Write,
+) -> Result<Outcome, TrainError> {
+    let name = config.run.device.as_str();
+    let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
+    let index: usize = index.parse().map_err(|_| unknown(name, "no such number"))?;
+    match kind {
+        "cpu" => on::<Autodiff<burn_flex::Flex>>(
+            stage,
+            config,
+            set,
+            init,
+            limits,
+            output,
+            Default::default(),
+        ),
+        #[cfg(feature = "cuda")]
+        "cuda" => {
+            let device = burn_cuda::CudaDevice::new(index);
+            on::<Autodiff<burn_cuda::Cuda>>(stage, config, set, init, limits, output, device)
+        }
+        #[cfg(feature = "wgpu")]
+        "wgpu" => {
+            let device = burn_wgpu::WgpuDevice::DiscreteGpu(index);
+            on::<Autodiff<burn_wgpu::Wgpu>>(stage, config, set, init, limits, output, device)
+        }
+        "cuda" | "wgpu" => {
+            let message = format!(
+                "this program was built without it (number {index}): build with --features {kind}"
+            );
+            Err(unknown(name, &message))
+        }
+        _ => Err(unknown(name, "expected cpu, cuda, cuda:N or wgpu")),
+    }
+}
+
+fn unknown(device: &str, message: &str) -> TrainError {
+    TrainError::Device {
+        device: device.to_owned(),
+        message: message.to_owned(),
+    }
+}
+
+fn on<A: AutodiffBackend>(
+    stage: Stage,
+    config: &Config,
+    set: &MotionSet,
+    init: Option<&Path>,
+    limits: Limits,
+    output: &mut impl Write,
+    device: A::Device,
+) -> Result<Outcome, TrainError> {
+    match stage {
+        Stage::VqVae => {
+            let (plan, mut work) = VqVaeWork::<A>::new(config, set, init, &device)?;
+            run::<A, _>(&plan, &mut work, &device, limits, output)
+        }
+        Stage::Velocity => {
+            let (plan, mut work) = VelocityWork::<A>::new(config, set, &device)?;
+            run::<A, _>(&plan, &mut work, &device, limits, output)
+        }
+        Stage::Gpt => {
+            let (plan, mut work) = GptWork::<A>::new(config, set, init, &device)?;
+            run::<A, _>(&plan, &mut work, &device, limits, output)
+        }
+    }
+}

@@ -1,0 +1,296 @@
+//! Stage `vqvae`: both halves together.
+
+use std::path::Path;
+
+use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
+
+use super::{
+    Config, MotionSet, TrainError,
+    runner::{Losses, Plan, WEIGHT, Work, checkpoint_path},
+    saved::Saved,
+    windows::{Window, Windows, generator},
+};
+use crate::{
+    checkpoint::Checkpoint,
+    nn::{Codebook, HalfNet, MovingAverage, Parameters, Store, VqVaeSizes, random_vqvae},
+    weights::{HALF_JOINTS, VqVaeWeights},
+};
+
+/// Names of the halves in files.
+pub(super) const HALVES: [&str; 2] = ["upper", "lower"];
+/// A generator's seed for each purpose of a run.
+const CODEBOOK_SEED: u64 = 0x636f_6465;
+
+/// Plans of both halves, and the weights they start from.
+pub(super) struct Halves {
+    pub(super) nets: [HalfNet; 2],
+    pub(super) store: Store,
+    pub(super) weights: VqVaeWeights,
+}
+
+impl Halves {
+    pub(super) fn new(weights: VqVaeWeights) -> Self {
+        let mut store = Store::default();
+        let [upper, lower] = HALVES;
+        let upper = HalfNet::new(upper, &weights.upper, &mut store);
+        let lower = HalfNet::new(lower, &weights.lower, &mut store);
+        Self {
+            nets: [upper, lower],
+            store,
+            weights,
+        }
+    }
+
+    pub(super) fn random(config: &Config) -> Self {
+        let sizes = VqVaeSizes {
+            width: config.vqvae.width,
+            embedding: config.vqvae.embedding,
+            codes: config.vqvae.codes,
+        };
+        Self::new(random_vqvae(sizes, config.run.seed))
+    }
+}
+
+/// Both halves as the finished stage left them.
+pub(super) struct Trained<B: Backend> {
+    pub(super) halves: Halves,
+    pub(super) parameters: Parameters<B>,
+    pub(super) codebooks: [Codebook<B>; 2],
+}
+
+impl<B: Backend> Trained<B> {
+    pub(super) fn read(config: &Config, device: &B::Device) -> Result<Self, TrainError> {
+        let path = checkpoint_path(&config.run, "vqvae");
+        let missing = || TrainError::StageMissing {
+            stage: "vqvae",
+            path: path.clone(),
+        };
+        let saved = Saved::read(&path)?.filter(|saved| saved.fact("finished") == "true");
+        let saved = saved.ok_or_else(missing)?;
+        let failed = |message| TrainError::State {
+            path: path.clone(),
+            message,
+        };
+        let mut halves = Halves::random(config);
+        halves.store = saved.fill(WEIGHT, &halves.store).map_err(failed)?;
+        let codebook = |half| read_codebook(&saved, half, device).map_err(failed);
+        let [upper, lower] = HALVES;
+        Ok(Self {
+            parameters: Parameters::from_store(&halves.store, device),
+            codebooks: [codebook(upper)?, codebook(lower)?],
+            halves,
+        })
+    }
+}
+
+fn read_codebook<B: Backend>(
+    saved: &Saved,
+    half: &str,
+    device: &B::Device,
+) -> Result<Codebook<B>, String> {
+    let tensor = |part: &str| saved.tensor(&format!("codebook.{half}.{part}"));
+    let state = [tensor("entries")?, tensor("sums")?, tensor("counts")?];
+    Ok(Codebook::from_state(state, device))
+}
+
+/// The crops' columns of one half, `[batch, frames, columns]`, the root's zero.
+pub(super) fn half_crops<B: Backend>(
+    set: &MotionSet,
+    windows: &[Window],
+    frames: usize,
+    half: usize,
+    device: &B::Device,
+) -> Device<B, 3> {
+    let (upper, lower) = HALF_JOINTS;
+    let joints: &[usize] = if half == 0 { &upper } else { &lower };
+    let pieces: Vec<_> = set.training().collect();
+    let mut values = Vec::with_capacity(windows.len() * frames * 3 * joints.len());
+    for &(piece, start) in windows {
+        let motion = &pieces[piece].motion;
+        for frame in start..start + frames {
+            for &joint in joints {
+                let column = |axis| motion[[frame, 3 * joint + axis]];
+                values.extend((0..3).map(|axis| if joint == 0 { 0.0 } else { column(axis) }));
+            }
+        }
+    }
+    let shape = [windows.len(), frames, 3 * joints.len()];
+    Device::from_data(TensorData::new(values, shape), device)
+}
+
+/// Mean absolute value of an error, of its first and of its second difference along time.
+pub(super) fn differences<B: Backend>(error: Device<B, 3>) -> [Device<B, 1>; 3] {
+    let change = |tensor: Device<B, 3>| {
+        let [_, time, _] = tensor.dims();
+        tensor.clone().narrow(1, 1, time - 1) - tensor.narrow(1, 0, time - 1)
+    };
+    let first = change(error.clone());
+    let second = change(first.clone());
+    [error, first, second].map(|tensor| tensor.abs().mean())
+}
+
+pub(super) struct VqVaeWork<'a, A: AutodiffBackend> {
+    config: &'a Config,
+    set: &'a MotionSet,
+    windows: Windows,
+    nets: [HalfNet; 2],
+    codebooks: [Option<Codebook<A::InnerBackend>>; 2],
+    device: A::Device,
+}
+
+impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
+    pub(super) fn new(
+        config: &'a Config,
+        set: &'a MotionSet,
+        init: Option<&Path>,
+        device: &A::Device,
+    ) -> Result<(Plan<'a>, Self), TrainError> {
+        let stage = &config.vqvae;
+        let mut halves = Halves::random(config);
+        let mut codebooks = [None, None];
+        if let Some(path) = init {
+            let weights = VqVaeWeights::from_checkpoint(&mut Checkpoint::open(path)?)?;
+            let found = Halves::new(weights);
+            let shapes = |store: &Store| -> Vec<Vec<usize>> {
+                store
+                    .entries()
+                    .iter()
+                    .map(|(_, tensor)| tensor.shape().to_vec())
+                    .collect()
+            };
+            let tables = [&found.weights.upper.codebook, &found.weights.lower.codebook];
+            let wanted = [stage.codes, stage.embedding];
+            if shapes(&found.store) != shapes(&halves.store)
+                || tables.iter().any(|table| table.shape() != wanted)
+            {
+                return Err(TrainError::State {
+                    path: path.to_owned(),
+                    message: "is of other sizes than [vqvae] says".into(),
+                });
+            }
+            codebooks = tables.map(|table| Some(Codebook::new(table, device)));
+            halves = found;
+        }
+        let lengths = set.training().map(|piece| piece.motion.nrows());
+        let windows = Windows::new(lengths, stage.frames, stage.stride, config.run.seed);
+        if windows.len() == 0 {
+            return Err(TrainError::TooShort {
+                length: stage.frames,
+                unit: "frames",
+            });
+        }
+        let plan = Plan {
+            name: "vqvae",
+            run: &config.run,
+            training: &stage.training,
+            settings: format!("seed {} {stage:?}", config.run.seed),
+            store: halves.store,
+            windows: windows.len(),
+        };
+        let work = Self {
+            config,
+            set,
+            windows,
+            nets: halves.nets,
+            codebooks,
+            device: device.clone(),
+        };
+        Ok((plan, work))
+    }
+
+    /// Loss of one half, and its metrics.
+    fn half(
+        &mut self,
+        half: usize,
+        parameters: &Parameters<A>,
+        windows: &[Window],
+        step: u64,
+    ) -> (Device<A, 1>, Vec<Device<A::InnerBackend, 1>>) {
+        let stage = &self.config.vqvae;
+        let target = half_crops::<A>(self.set, windows, stage.frames, half, &self.device);
+        let net = &self.nets[half];
+        let encoded = net.encoder.forward(parameters, target.clone());
+        let [batch, codes, channels] = encoded.dims();
+        let vectors = encoded.clone().inner().reshape([batch * codes, channels]);
+        let seed = self.config.run.seed ^ CODEBOOK_SEED ^ (half as u64) << 32;
+        let mut random = generator(seed, step);
+        let codebook = self.codebooks[half]
+            .get_or_insert_with(|| Codebook::from_batch(vectors.clone(), stage.codes, &mut random));
+        let indices = codebook.nearest(vectors.clone());
+        let quantised = codebook
+            .lookup(indices.clone())
+            .reshape([batch, codes, channels]);
+        let perplexity = codebook.perplexity(indices.clone());
+        let average = MovingAverage {
+            decay: stage.decay,
+            restart_below: stage.restart_below,
+        };
+        let restarted = codebook.update(vectors, indices, average, &mut random);
+
+        let quantised = Device::<A, 3>::from_inner(quantised);
+        let distance = encoded.clone() - quantised.clone();
+        let commitment = distance.clone().square().mean();
+        // Straight through: the value of the entry, the derivative of the encoder's output.
+        let passed = encoded - distance.detach();
+        let error = net.decoder.forward(parameters, passed) - target;
+        let [position, velocity, acceleration] = differences(error);
+        let loss = position.clone()
+            + velocity.clone().mul_scalar(stage.velocity_weight)
+            + acceleration.clone().mul_scalar(stage.acceleration_weight)
+            + commitment.clone().mul_scalar(stage.commitment);
+        let mut metrics: Vec<_> = [loss.clone(), position, velocity, acceleration, commitment]
+            .map(Device::inner)
+            .into();
+        metrics.extend([perplexity, restarted]);
+        (loss, metrics)
+    }
+}
+
+impl<A: AutodiffBackend> Work<A> for VqVaeWork<'_, A> {
+    const COLUMNS: &'static [&'static str] = &[
+        "loss",
+        "upper_loss",
+        "upper_position",
+        "upper_velocity",
+        "upper_acceleration",
+        "upper_commitment",
+        "upper_perplexity",
+        "upper_restarts",
+        "lower_loss",
+        "lower_position",
+        "lower_velocity",
+        "lower_acceleration",
+        "lower_commitment",
+        "lower_perplexity",
+        "lower_restarts",
+    ];
+
+    fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
+        let windows = self.windows.batch(step, self.config.vqvae.training.batch);
+        let (upper, mut metrics) = self.half(0, parameters, &windows, step);
+        let (lower, lower_metrics) = self.half(1, parameters, &windows, step);
+        let loss = upper + lower;
+        metrics.insert(0, loss.clone().inner());
+        metrics.extend(lower_metrics);
+        Losses { loss, metrics }
+    }
+
+    fn save(&self, saved: &mut Saved) {
+        for (half, codebook) in HALVES.iter().zip(&self.codebooks) {
+            let Some(codebook) = codebook else { continue };
+            let parts = ["entries", "sums", "counts"].into_iter();
+            for (part, tensor) in parts.zip(codebook.state()) {
+                saved
+                    .tensors
+                    .insert(format!("codebook.{half}.{part}"), tensor);
+            }
+        }
+    }
+
+    fn restore(&mut self, saved: &Saved) -> Result<(), String> {
+        for (half, codebook) in HALVES.iter().zip(&mut self.codebooks) {
+            *codebook = Some(read_codebook(saved, half, &self.device)?);
+        }
+        Ok(())
+    }
+}

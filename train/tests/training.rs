@@ -1,0 +1,159 @@
+//! All stages with the `tiny` preset on made-up motion: losses fall, a resumed run equals an
+//! undisturbed one, and the served model equals the trainer's networks.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
+mod common;
+
+use std::{fs, path::Path};
+
+use bailando::{CancelToken, model::ModelDirectory, model::Steps};
+use bailando_train::{
+    nn::{Codebook, DecoderNet, GptNet, Parameters, Store},
+    training::{
+        Config, Limits, MotionPiece, MotionSet, Outcome, Stage, export, train, trained_weights,
+    },
+};
+use burn_flex::{Flex, FlexDevice};
+use burn_tensor::{Int, Tensor, TensorData};
+use ndarray::{Array2, Array3};
+
+const STAGES: [Stage; 3] = [Stage::VqVae, Stage::Velocity, Stage::Gpt];
+const TOLERANCE: f32 = 1e-4;
+
+fn config(folder: &Path) -> Config {
+    let mut config = Config::parse(include_str!("../presets/tiny.toml")).unwrap();
+    config.run.folder = folder.join("run");
+    config.export.folder = folder.join("model");
+    config
+}
+
+/// Joints that swing at different rates while the root walks; music that follows the same clock.
+fn motion_set() -> MotionSet {
+    let piece = |phase: f32| {
+        let positions = Array3::from_shape_fn((480, 24, 3), |(frame, joint, axis)| {
+            let time = frame as f32 / 60.0 + phase;
+            let swing = (time * (2.0 + (joint % 4) as f32) + axis as f32).sin();
+            0.05 * joint as f32 * swing + 0.3 * (time + axis as f32).sin()
+        });
+        let music = Array2::from_shape_fn((61, 438), |(row, column)| {
+            (row as f32 / 7.5 + phase + column as f32).cos() * (1.0 + column as f32 / 50.0)
+        });
+        MotionPiece::from_positions(&positions, music, false)
+    };
+    MotionSet {
+        pieces: [0.0, 0.7, 1.9].map(piece).into(),
+    }
+}
+
+fn run(config: &Config, set: &MotionSet, stage: Stage, limits: Limits) -> Outcome {
+    train(stage, config, set, None, limits, &mut Vec::new()).unwrap()
+}
+
+fn losses(config: &Config, stage: &str) -> Vec<f32> {
+    let text = fs::read_to_string(config.run.folder.join(stage).join("metrics.csv")).unwrap();
+    let lines = text.lines().skip(1);
+    lines
+        .map(|line| line.split(',').nth(2).unwrap().parse().unwrap())
+        .collect()
+}
+
+// One test: the random generator of the CPU backend belongs to the process.
+#[test]
+fn a_run_learns_resumes_exactly_and_is_served() {
+    let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+    let [whole, broken] = [0, 1].map(|index| config(folders[index].path()));
+    let set = motion_set();
+    for stage in STAGES {
+        assert_eq!(
+            run(&whole, &set, stage, Limits::default()),
+            Outcome::Finished
+        );
+        for steps in [7, 18] {
+            let limits = Limits {
+                steps: Some(steps),
+                ..Limits::default()
+            };
+            assert_eq!(run(&broken, &set, stage, limits), Outcome::Paused);
+        }
+        assert_eq!(
+            run(&broken, &set, stage, Limits::default()),
+            Outcome::Finished
+        );
+    }
+    for stage in ["vqvae", "velocity", "gpt"] {
+        let losses = losses(&whole, stage);
+        let (first, last) = (losses[0], losses[losses.len() - 1]);
+        println!("{stage}: {first} to {last}");
+        assert!(last < 0.9 * first, "{stage}: {losses:?}");
+        for file in ["metrics.csv", "checkpoint.safetensors"] {
+            let read =
+                |config: &Config| fs::read(config.run.folder.join(stage).join(file)).unwrap();
+            assert!(
+                read(&whole) == read(&broken),
+                "{stage}/{file} differs after resuming"
+            );
+        }
+    }
+    export(&whole, false).unwrap();
+    serves_the_same(&whole);
+}
+
+fn serves_the_same(config: &Config) {
+    let (vqvae, gpt, starts) = trained_weights(config).unwrap();
+    assert!(!starts.is_empty());
+    let directory = ModelDirectory::open(&config.export.folder).unwrap();
+    assert_eq!(directory.manifest().start_codes, starts);
+    let codes = |seed: usize| -> Vec<u32> { (0..20).map(|k| (k * seed % 16) as u32).collect() };
+    let (upper, lower) = (codes(5), codes(3));
+    let device = FlexDevice;
+    let indices = |codes: &[u32]| {
+        let codes: Vec<i32> = codes.iter().map(|&code| code as i32).collect();
+        let shape = [codes.len()];
+        Tensor::<Flex, 1, Int>::from_data(TensorData::new(codes, shape), &device)
+    };
+
+    let mut store = Store::default();
+    let net = DecoderNet::new("root", &vqvae.root, &mut store);
+    let entries = Codebook::<Flex>::new(&vqvae.lower.codebook, &device).lookup(indices(&lower));
+    let parameters = Parameters::from_store(&store, &device);
+    let velocity = net
+        .forward(&parameters, entries.unsqueeze_dim(0))
+        .into_data();
+    let velocity: Vec<f32> = velocity.iter::<f32>().collect();
+    let mut decoder = directory.decoder(1).unwrap();
+    let served = decoder.decode(&upper, &lower, &CancelToken::new()).unwrap();
+    assert_eq!(served.nrows() * 3, velocity.len());
+    for (frame, wanted) in velocity.chunks(3).enumerate() {
+        for axis in 0..3 {
+            assert!((served[[frame, axis]] - wanted[axis]).abs() <= TOLERANCE);
+        }
+    }
+
+    let mut store = Store::default();
+    let net = GptNet::new(&gpt, &mut store);
+    let parameters = Parameters::from_store(&store, &device);
+    let music = Array2::from_shape_fn((20, 438), |(row, column)| ((row + column) as f32).sin());
+    let rows = TensorData::new(music.iter().copied().collect::<Vec<f32>>(), [1, 20, 438]);
+    let halves = [&upper, &lower].map(|codes| indices(codes).unsqueeze_dim::<2>(0));
+    let logits = net.forward(&parameters, Tensor::from_data(rows, &device), halves, 0.0);
+    let mut served = directory.gpt(1).unwrap();
+    let mut cache = served.empty_cache().unwrap();
+    let steps = Steps {
+        upper: &upper,
+        lower: &lower,
+        music: music.view(),
+    };
+    let served = served.run(steps, &mut cache, &CancelToken::new()).unwrap();
+    for (own, served) in [(logits.upper, served.upper), (logits.lower, served.lower)] {
+        let own: Vec<f32> = own.into_data().iter::<f32>().collect();
+        assert_eq!(own.len(), served.len());
+        for (own, served) in own.iter().zip(&served) {
+            assert!((own - served).abs() <= TOLERANCE, "{own} {served}");
+        }
+    }
+}
