@@ -126,10 +126,9 @@ impl<B: Backend> Parameters<B> {
 
     /// The same values, recording what is computed with them.
     #[must_use]
-    pub fn tracked<A: AutodiffBackend<InnerBackend = B, Device = B::Device>>(&self) -> Parameters<A>
-    where
-        A: Backend<Device = B::Device>,
-    {
+    pub fn tracked<A: AutodiffBackend<InnerBackend = B, Device = B::Device>>(
+        &self,
+    ) -> Parameters<A> {
         let tensors = self.tensors.iter();
         Parameters {
             tensors: tensors
