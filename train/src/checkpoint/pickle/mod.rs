@@ -229,10 +229,10 @@ impl<'a> Machine<'a> {
     fn protocol(&mut self) -> Result<(), Problem> {
         match (self.reader.byte()?, self.dialect) {
             (0..=2, _) | (3..=5, Dialect::Arrays) => Ok(()),
-            (_, Dialect::Arrays) => {
-                Err(self.malformed("only pickle protocols up to 5 are read"))
+            (_, Dialect::Arrays) => Err(self.malformed("only pickle protocols up to 5 are read")),
+            (_, Dialect::Checkpoint) => {
+                Err(self.malformed("only pickle protocols up to 2 are read, PyTorch's default"))
             }
-            (_, Dialect::Checkpoint) => Err(self.malformed("only pickle protocols up to 2 are read, PyTorch's default")),
         }
     }
 
@@ -313,22 +313,21 @@ impl<'a> Machine<'a> {
     fn reduce(&mut self) -> Result<(), Problem> {
         let arguments = self.pop()?;
         let callable = self.pop()?;
-        let object = match self.arena.get(callable) {
-            Some(Object::OrderedDictClass) => Object::Dict(Vec::new()),
-            Some(Object::RebuildTensor) => rebuild::tensor(&self.arena, arguments)
-                .map(Object::Tensor)
-                .map_err(|what| self.malformed(what))?,
-            Some(Object::RebuildParameter) => {
-                rebuild::parameter(&self.arena, arguments).map_err(|what| self.malformed(what))?
-            }
-            Some(&Object::Numpy(name)) => {
-                numpy::call(&self.arena, name, arguments).map_err(|what| self.malformed(what))?
-            }
-            _ if self.dialect == Dialect::Arrays => {
-                return Err(self.malformed("it calls something that is no function of NumPy"));
-            }
-            _ => Object::Opaque,
-        };
+        let object =
+            match self.arena.get(callable) {
+                Some(Object::OrderedDictClass) => Object::Dict(Vec::new()),
+                Some(Object::RebuildTensor) => rebuild::tensor(&self.arena, arguments)
+                    .map(Object::Tensor)
+                    .map_err(|what| self.malformed(what))?,
+                Some(Object::RebuildParameter) => rebuild::parameter(&self.arena, arguments)
+                    .map_err(|what| self.malformed(what))?,
+                Some(&Object::Numpy(name)) => numpy::call(&self.arena, name, arguments)
+                    .map_err(|what| self.malformed(what))?,
+                _ if self.dialect == Dialect::Arrays => {
+                    return Err(self.malformed("it calls something that is no function of NumPy"));
+                }
+                _ => Object::Opaque,
+            };
         self.push(object);
         Ok(())
     }

@@ -34,7 +34,10 @@ fn an_array_is_read_in_either_byte_order() {
     let read = array(&whole(ARRAY));
     assert_eq!(read.shape, [2]);
     assert_eq!(read.values().unwrap(), [1.0, -2.0]);
-    let swapped = replaced(b"\x00\x00\x80\x3f\x00\x00\x00\xc0", b"\x3f\x80\x00\x00\xc0\x00\x00\x00");
+    let swapped = replaced(
+        b"\x00\x00\x80\x3f\x00\x00\x00\xc0",
+        b"\x3f\x80\x00\x00\xc0\x00\x00\x00",
+    );
     let at = swapped.iter().position(|&byte| byte == b'<').unwrap();
     let mut swapped = swapped;
     swapped[at] = b'>';
