@@ -12,12 +12,21 @@ pub(super) struct Fit {
     pub(super) together: f64,
     /// Mean distance of heard beats behind those of the grid, seconds.
     pub(super) late_s: f64,
+    /// Number of heard beats that were compared.
+    pub(super) count: usize,
     /// Seconds between the places where beats are heard, at most one beat of the grid.
     pub(super) period_s: f64,
 }
 
 /// Trackers also lock on every third half of the count, or on its third.
 const FOLDS: [f64; 3] = [1.0, 2.0, 3.0];
+
+impl Fit {
+    /// Whether beats strewn at random would look as orderly in 2 of 100 cases (Rayleigh's test).
+    pub(super) fn is_chance(&self) -> bool {
+        self.together * self.together * (self.count as f64) < 4.0
+    }
+}
 
 /// Compares by the phase of each detected beat between its neighbours in the grid (a circular
 /// mean), so that beats found at half the count fit as well as all of them.
@@ -52,6 +61,7 @@ pub(super) fn fit(grid: &[f64], detected: &[f64]) -> Option<Fit> {
     (count >= MIN_BEATS).then(|| Fit {
         together: sine.hypot(cosine) / count as f64,
         late_s: turns * period / fold,
+        count,
         period_s: period / fold,
     })
 }

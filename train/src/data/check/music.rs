@@ -15,8 +15,6 @@ use bailando::features::Rate;
 
 /// Root mean square below which a song is silence: -80 dB.
 const SILENCE: f64 = 1e-4;
-/// Beats that keep their place less than this are as good as unrelated to the grid.
-const TOGETHER: f64 = 0.5;
 /// Detected beats are about 28 ms late by themselves (onset envelope, FEATURES section 8).
 const DETECTOR_LATE_S: f64 = 0.028;
 /// Seconds by which a grid may be off.
@@ -148,7 +146,7 @@ fn check_grid(piece: &Piece, heard: &[f64], name: &str, findings: &mut Findings)
     };
     let id = &piece.id;
     let late = fit.late_s - DETECTOR_LATE_S;
-    if fit.together < TOGETHER {
+    if fit.is_chance() {
         let together = fit.together;
         findings.add(
             Topic::Grid,

@@ -309,3 +309,60 @@ fn songs_are_picked_evenly_and_exactly() {
         assert_eq!(picked.count(), wanted.min(count));
     }
 }
+
+#[test]
+fn the_references_files_are_checked_as_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, rows: usize| {
+        let flat: Vec<f32> = dance(&skeleton(0.93), 300, 1).iter().copied().collect();
+        let dance: Vec<&[f32]> = flat.chunks(72).collect();
+        let music = vec![vec![0.5; 438]; rows];
+        let file = json!({"id": name, "music_array": music, "dance_array": dance});
+        fs::write(folder.path().join(name), file.to_string()).unwrap();
+    };
+    write("a.json", 300);
+    let report = check(folder.path(), &DEAF).unwrap();
+    let topics: Vec<_> = report
+        .findings
+        .iter()
+        .map(|finding| finding.topic)
+        .collect();
+    assert_eq!(topics, [Topic::StoredRows, Topic::NoTest, Topic::Layout]);
+    write("a.json", 37);
+    let report = check(folder.path(), &DEAF).unwrap();
+    let topics: Vec<_> = report
+        .findings
+        .iter()
+        .map(|finding| finding.topic)
+        .collect();
+    assert_eq!(topics, [Topic::NoTest, Topic::Layout]);
+    write("a.json", 150);
+    let report = check(folder.path(), &DEAF).unwrap();
+    assert_eq!(report.findings[0].topic, Topic::AudioFile);
+    assert!(report.findings[0].places[0].contains("150 rows of music beside 300 frames"));
+}
+
+#[test]
+fn aist_motions_are_checked_as_well() {
+    let folder = tempfile::tempdir().unwrap();
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/train");
+    for name in ["aist_protocol4.pkl", "hostile.pkl"] {
+        fs::copy(fixtures.join(name), folder.path().join(name)).unwrap();
+    }
+    let report = check(folder.path(), &DEAF).unwrap();
+    let topics: Vec<_> = report
+        .findings
+        .iter()
+        .map(|finding| finding.topic)
+        .collect();
+    assert!(
+        topics.contains(&Topic::Short) && topics.contains(&Topic::NoTraining),
+        "{report}"
+    );
+    assert_eq!(report.findings[0].topic, Topic::MotionFile);
+    assert!(
+        report.findings[0].places[0].contains("`posix.system`"),
+        "{report}"
+    );
+    assert!(!report.is_usable());
+}

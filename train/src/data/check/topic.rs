@@ -119,7 +119,7 @@ impl Topic {
                 "Copy the missing files into place (names are case-sensitive), or take the pieces out."),
             Self::MotionFile => (Unusable, "Motion files cannot be read.",
                 "Motion is float32 [frames, 24, 3]; write or download the files again."),
-            Self::AudioFile => (Unusable, "Songs cannot be decoded.",
+            Self::AudioFile => (Unusable, "Songs, or the music rows of files, cannot be read.",
                 "Use wav, flac, mp3, ogg/vorbis or m4a/aac files that a player plays to their end."),
             Self::NoTraining => (Unusable, "No piece can be used for training.",
                 "At least one piece needs the split train and 240 frames (4 s)."),
