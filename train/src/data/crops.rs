@@ -50,10 +50,20 @@ pub fn rows_beside(codes: Range<usize>) -> Range<usize> {
     codes.start + 1..codes.end + 1
 }
 
+/// Frames of a dance that have music: all codes in them have their row.
+///
+/// `rows` is the number of conditioning rows of the whole song. It holds for every start phase,
+/// since dance and song lose the same time. For a dance with several songs take the smallest.
+#[must_use]
+pub fn common_frames(frames: usize, rows: usize) -> usize {
+    frames.min(rows.saturating_sub(1) * FRAMES_PER_CODE)
+}
+
 impl Portion<Training> {
     /// The crops of one epoch in random order, the same for the same seed and epoch.
     ///
-    /// `frames` are the lengths of the motions in the order of [`Portion::dances`]. A dance gives
+    /// `frames` are the lengths of the motions in the order of [`Portion::dances`]; for training
+    /// with music, of what has music ([`common_frames`]). A dance gives
     /// each of its crops once, with a song drawn among its songs; one start phase is drawn per
     /// dance and epoch. Dances whose music cannot be moved keep phase 0.
     #[must_use]
@@ -108,6 +118,24 @@ mod tests {
         assert_eq!(starts(240), [0]);
         assert_eq!(starts(280), [0, 40]);
         assert_eq!(starts(319), [0, 40]);
+    }
+
+    #[test]
+    fn every_code_of_the_common_frames_has_its_row_at_any_phase() {
+        for samples in [38_400_usize, 38_399, 37_889, 511, 0] {
+            let rows = |phase: usize| 1 + samples.saturating_sub(64 * phase) / 512;
+            let frames = common_frames(600, rows(0));
+            assert!(frames <= 600 && 64 * frames <= samples);
+            for phase in 0..PHASES {
+                let codes = frames.saturating_sub(phase) / FRAMES_PER_CODE;
+                assert!(
+                    codes == 0 || rows_beside(0..codes).end <= rows(phase),
+                    "{samples} {phase}"
+                );
+            }
+        }
+        assert_eq!(common_frames(600, 76), 600);
+        assert_eq!(common_frames(600, 0), 0);
     }
 
     #[test]

@@ -28,7 +28,7 @@ mod tests;
 
 pub use augment::{PHASES, mirrored, mirrored_joints, phase_cut};
 pub use cache::{FEATURE_VERSION, FeatureCache, FeatureKey};
-pub use crops::{CropPlan, Draw, crop_starts, rows_beside};
+pub use crops::{CropPlan, Draw, common_frames, crop_starts, rows_beside};
 pub use dataset::{Dataset, Defect, Layout, MotionSource, MusicSource, OpenOptions, Piece, Split};
 pub use error::DataError;
 pub use library::MusicLibrary;

@@ -14,7 +14,12 @@ const MAX_BYTES: u64 = 128 << 20;
 
 pub(super) fn positions(path: &Path, skeleton: &Skeleton) -> Result<Positions, DataError> {
     let bytes = files::read_at_most(path, MAX_BYTES)?;
-    let pickled = interpret_arrays(&bytes).map_err(|problem| DataError::Pickle {
+    from_bytes(path, &bytes, skeleton)
+}
+
+/// `path` is what errors call the pickle.
+fn from_bytes(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Positions, DataError> {
+    let pickled = interpret_arrays(bytes).map_err(|problem| DataError::Pickle {
         path: path.to_owned(),
         problem,
     })?;
@@ -146,13 +151,8 @@ mod tests {
 
     #[test]
     fn damaged_pickles_are_errors_and_never_panic() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("damaged.pkl");
         let whole = std::fs::read(fixture("aist_protocol4.pkl")).unwrap();
-        let read = |bytes: &[u8]| {
-            std::fs::write(&path, bytes).unwrap();
-            positions(&path, &skeleton(0.93))
-        };
+        let read = |bytes: &[u8]| from_bytes(Path::new("damaged.pkl"), bytes, &skeleton(0.93));
         for length in (0..whole.len()).step_by(97) {
             assert!(read(&whole[..length]).is_err(), "{length} bytes");
         }

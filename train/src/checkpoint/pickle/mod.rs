@@ -56,8 +56,16 @@ pub(crate) fn interpret_arrays(bytes: &[u8]) -> Result<Pickled, Problem> {
     run(Machine::new(bytes, Dialect::Arrays))
 }
 
+/// Opcodes in a pickle of arrays; a dozen of them make an array, however large.
+const MAX_ARRAY_OPCODES: usize = 1 << 16;
+
 fn run(mut machine: Machine<'_>) -> Result<Pickled, Problem> {
+    let mut opcodes = 0;
     loop {
+        opcodes += 1;
+        if machine.dialect == Dialect::Arrays && opcodes > MAX_ARRAY_OPCODES {
+            return Err(machine.malformed("it holds far more than a few arrays"));
+        }
         if let Some(root) = machine.step()? {
             return Ok(Pickled {
                 arena: machine.arena,

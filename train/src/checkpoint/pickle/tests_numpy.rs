@@ -94,3 +94,11 @@ fn a_shape_that_does_not_fit_its_bytes_is_refused_before_anything_is_allocated()
 fn a_checkpoint_does_not_know_arrays() {
     assert!(interpret(&[b"\x80\x02", ARRAY, b"."].concat()).is_err());
 }
+
+#[test]
+fn a_pickle_of_countless_small_things_is_refused_early() {
+    for opcode in [b'N', b'(', b']'] {
+        let problem = problem(&vec![opcode; 1 << 20]);
+        assert!(problem.contains("far more than a few arrays"), "{problem}");
+    }
+}
