@@ -1,7 +1,8 @@
 //! `bailando evaluate`: generated dances against recordings.
 
-use std::{num::NonZeroUsize, path::PathBuf};
+use std::{fs, num::NonZeroUsize, path::PathBuf};
 
+use anyhow::Context;
 use bailando::{
     Error,
     evaluation::{BeatsFrom, Clips, EvaluationOptions, KineticForm, evaluate},
@@ -46,6 +47,9 @@ pub(super) struct EvaluateArgs {
     /// Print JSON instead of a Markdown table
     #[arg(long)]
     json: bool,
+    /// Write a plot of generated relative to recorded, too
+    #[arg(long, value_name = "OUT.svg")]
+    plot: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -84,6 +88,10 @@ impl EvaluateArgs {
 
 pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let report = evaluate(&args.options()).map_err(Error::from)?;
+    if let Some(path) = &args.plot {
+        let svg = report.svg().map_err(Error::from)?;
+        fs::write(path, svg).with_context(|| path.display().to_string())?;
+    }
     if args.json {
         for warning in &report.warnings {
             say_error(&format!("warning: {warning}"));

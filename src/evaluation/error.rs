@@ -56,6 +56,9 @@ pub enum EvaluationError {
         /// How many there are.
         got: usize,
     },
+    /// The plot can't be drawn.
+    #[error("plot: {0}")]
+    Plot(String),
     /// An option does not fit.
     #[error("{0}")]
     Option(String),

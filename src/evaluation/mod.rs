@@ -16,6 +16,7 @@ mod load;
 mod metric;
 mod motion_quality;
 mod music;
+mod plot;
 mod recitation;
 mod reference;
 mod report;

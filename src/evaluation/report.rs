@@ -210,6 +210,15 @@ mod tests {
         assert_eq!(report.generated.get(Metric::FidK), Some(25.0));
         // Not known of all sets.
         assert_eq!(report.generated.get(Metric::BeatAlign), None);
+        let plot = report.svg().unwrap();
+        assert!(
+            plot.contains("FID_k") && plot.contains("mean of 2 sets"),
+            "{plot}"
+        );
+        assert!(
+            !plot.contains("beat align"),
+            "a metric without a ratio is left out"
+        );
         let text = report.markdown();
         assert!(
             text.contains("| FID_k ↓ | 12.500 | 25.000 ± 12.706 |\n"),

@@ -189,16 +189,14 @@ fn score_quality(scores: &mut Scores, motions: &[Motion]) {
         .iter()
         .map(|motion| MotionQuality::new(motion.poses()))
         .collect();
-    let fields: [(Metric, fn(&MotionQuality) -> f64); 5] = [
-        (Metric::DanceBeatsPerSecond, |q| q.dance_beats_per_second),
-        (Metric::SlowFrames, |q| q.slow_frames),
-        (Metric::MeanSpeed, |q| q.mean_speed),
-        (Metric::Jerk, |q| q.jerk),
-        (Metric::FootSkate, |q| q.foot_skate),
-    ];
-    for (metric, field) in fields {
+    let mut mean = |metric, field: fn(&MotionQuality) -> f64| {
         set_mean(scores, metric, each.iter().map(field));
-    }
+    };
+    mean(Metric::DanceBeatsPerSecond, |q| q.dance_beats_per_second);
+    mean(Metric::SlowFrames, |q| q.slow_frames);
+    mean(Metric::MeanSpeed, |q| q.mean_speed);
+    mean(Metric::Jerk, |q| q.jerk);
+    mean(Metric::FootSkate, |q| q.foot_skate);
 }
 
 fn score_beats(scores: &mut Scores, set: &DanceSet, beats: &MusicBeats, seed: u64) {

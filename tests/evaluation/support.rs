@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use bailando::evaluation::Motion;
+use bailando::evaluation::{BeatsFrom, Clips, EvaluationOptions, KineticForm, Motion};
 use ndarray::{Array2, Array3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -54,4 +54,18 @@ pub(crate) fn sway(frames: usize, pace: f32) -> Array3<f32> {
         let phase = joint as f32 * 0.7 + axis as f32 * 1.3;
         (pace * t + phase).sin() * 0.3 + phase.cos()
     })
+}
+
+/// The published protocol between two folders.
+pub(crate) fn options(generated: &Path, reference: &Path) -> EvaluationOptions {
+    EvaluationOptions {
+        generated: generated.to_owned(),
+        reference: reference.to_owned(),
+        split: None,
+        beats: BeatsFrom::default(),
+        clips: Clips::default(),
+        kinetic: KineticForm::Published,
+        seeds: None,
+        chance_seed: 0,
+    }
 }
