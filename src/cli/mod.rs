@@ -75,6 +75,14 @@ fn is_usage(error: &anyhow::Error) -> bool {
     error.is::<Usage>() || error.downcast_ref::<Error>().is_some_and(option)
 }
 
+/// Seconds above 0, for limits: NaN would switch one off.
+fn positive_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("expected seconds above 0".into()),
+    }
+}
+
 /// One line on standard output. A reader that has gone is no failure of ours.
 fn say(line: &str) {
     let _ = writeln!(io::stdout(), "{line}");

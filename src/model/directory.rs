@@ -28,6 +28,9 @@ impl ModelDirectory {
     /// [`ModelError::Read`], [`ModelError::Manifest`] or [`ModelError::Mismatch`], naming the file.
     pub fn open(root: &Path) -> Result<Self, ModelError> {
         let path = root.join("manifest.json");
+        if !path.is_file() {
+            return Err(ModelError::NoModel { path });
+        }
         let text = read_limited(&path, MANIFEST_LIMIT)?;
         let refuse = |problem: String| ModelError::Manifest {
             path: path.clone(),
@@ -85,9 +88,9 @@ impl ModelDirectory {
 }
 
 fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, ModelError> {
-    let failed = |source| ModelError::Read {
+    let failed = |reason| ModelError::Read {
         path: path.to_path_buf(),
-        source,
+        reason,
     };
     let file = File::open(path).map_err(failed)?;
     let mut bytes = Vec::new();
@@ -96,9 +99,9 @@ fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, ModelError> {
 }
 
 fn check_file(path: &Path, bytes: u64, sha256: &str) -> Result<(), ModelError> {
-    let failed = |source| ModelError::Read {
+    let failed = |reason| ModelError::Read {
         path: path.to_path_buf(),
-        source,
+        reason,
     };
     let mismatch = |what, expected: String, found: String| {
         Err(ModelError::Mismatch {

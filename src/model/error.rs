@@ -7,12 +7,18 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum ModelError {
     /// A file could not be read.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {reason}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// Why.
-        source: std::io::Error,
+        /// Why; not a `source`, because the message holds it already.
+        reason: std::io::Error,
+    },
+    /// The folder is not a model directory.
+    #[error("{}: there is no such file: name a model directory with --model-dir", path.display())]
+    NoModel {
+        /// The manifest that was looked for.
+        path: PathBuf,
     },
     /// `manifest.json` is not a manifest.
     #[error("{}: not a manifest this version reads: {problem}", path.display())]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ndarray::{Array2, Array4, ArrayView2, Ix3};
+use ndarray::{Array2, Array4, ArrayView2};
 use ort::{
     memory::Allocator,
     session::SessionInputValue,
@@ -11,7 +11,7 @@ use ort::{
 
 use super::{
     Manifest, ModelError,
-    session::{Graph, Inputs, floats, integers, take, tensor},
+    session::{Graph, Inputs, floats, integers, take, take_matrix, tensor},
 };
 use crate::CancelToken;
 
@@ -151,8 +151,8 @@ impl Gpt {
         let present = &self.names.present;
         let (logits, layers) = self.graph.run(inputs, cancel, |outputs| {
             let logits = Logits {
-                upper: logits(&take(GRAPH, outputs, "upper_logits")?, count)?,
-                lower: logits(&take(GRAPH, outputs, "lower_logits")?, count)?,
+                upper: take_matrix(GRAPH, outputs, "upper_logits", count)?,
+                lower: take_matrix(GRAPH, outputs, "lower_logits", count)?,
             };
             // Moving outputs back in as the next inputs copies nothing (STACK.md).
             let layers = present
@@ -228,27 +228,6 @@ fn attention_bias(past: usize, count: usize) -> Array4<f32> {
             _ => 0.0,
         },
     )
-}
-
-fn logits(value: &DynValue, steps: usize) -> Result<Array2<f32>, ModelError> {
-    let wrong = |problem: String| ModelError::Run {
-        graph: GRAPH,
-        problem,
-    };
-    let array = value
-        .try_extract_array::<f32>()
-        .map_err(|e| wrong(e.to_string()))?;
-    let array = array
-        .into_dimensionality::<Ix3>()
-        .map_err(|e| wrong(e.to_string()))?;
-    let (batch, rows, _) = array.dim();
-    if batch != 1 || rows != steps {
-        return Err(wrong(format!(
-            "logits have shape {:?} for {steps} steps",
-            array.dim()
-        )));
-    }
-    Ok(array.index_axis(ndarray::Axis(0), 0).to_owned())
 }
 
 #[cfg(test)]

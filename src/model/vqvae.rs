@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use ndarray::{Array2, ArrayView2, Axis, Ix3, Slice};
+use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use super::{
     Manifest, ModelError,
-    session::{Graph, floats, integers, take},
+    session::{Graph, floats, integers, one_line, take, take_matrix},
 };
 use crate::CancelToken;
 
@@ -64,24 +64,14 @@ impl Decoder {
             ("lower".into(), codes(lower)?.into()),
         ];
         self.graph.run(inputs, cancel, |outputs| {
-            let value = take(DECODER, outputs, "motion")?;
-            let wrong = |problem: String| ModelError::Run {
-                graph: DECODER,
-                problem,
-            };
-            let motion = value
-                .try_extract_array::<f32>()
-                .map_err(|e| wrong(e.to_string()))?;
-            let motion = motion
-                .into_dimensionality::<Ix3>()
-                .map_err(|e| wrong(e.to_string()))?;
-            if motion.dim() != (1, frames, columns) {
-                return Err(wrong(format!(
-                    "motion has shape {:?}, expected (1, {frames}, {columns})",
-                    motion.dim()
-                )));
+            let motion = take_matrix(DECODER, outputs, "motion", frames)?;
+            if motion.ncols() != columns {
+                return Err(ModelError::Run {
+                    graph: DECODER,
+                    problem: format!("motion has {} columns, expected {columns}", motion.ncols()),
+                });
             }
-            Ok(motion.index_axis(Axis(0), 0).to_owned())
+            Ok(motion)
         })
     }
 }
@@ -144,10 +134,10 @@ impl Encoder {
                 };
                 let (_, codes) = value
                     .try_extract_tensor::<i64>()
-                    .map_err(|e| wrong(e.to_string()))?;
+                    .map_err(|e| wrong(one_line(&e)))?;
                 codes
                     .iter()
-                    .map(|&code| u32::try_from(code).map_err(|e| wrong(e.to_string())))
+                    .map(|&code| u32::try_from(code).map_err(|e| wrong(one_line(&e))))
                     .collect()
             };
             Ok((codes("upper")?, codes("lower")?))

@@ -7,9 +7,6 @@ use super::{
     integrate_root, lower_foot_heights, resample,
 };
 
-/// Furthest that the floor is moved away from the decoder's feet towards the skeleton's, metres.
-const SKELETON_SHARE: f32 = 0.02;
-
 /// What a motion is finished to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FinishOptions {
@@ -45,7 +42,8 @@ pub enum PositionsSource {
 pub struct Finished {
     /// Rotations and root on the rest skeleton, at the wanted frame rate.
     pub animation: Animation,
-    /// Joint positions `[frames, joints, 3]`, metres; joint 0 is the animation's root.
+    /// Joint positions `[frames, joints, 3]`, metres. The decoder's own stand on the floor by their
+    /// own feet, so that their root may lie some centimetres above or below the animation's.
     pub positions: Positions,
     /// Where the positions come from.
     pub source: PositionsSource,
@@ -58,10 +56,6 @@ pub struct Finished {
 /// # Errors
 /// [`MotionError::FrameRate`] for a rate that is not offered, [`MotionError::Shape`] if the columns
 /// are not the skeleton's, [`MotionError::NotFinite`] for a NaN or an infinity.
-#[expect(
-    clippy::needless_pass_by_value,
-    reason = "a view is a reference already"
-)]
 pub fn finish(
     decoded: ArrayView2<'_, f32>,
     skeleton: &Skeleton,
@@ -70,16 +64,17 @@ pub fn finish(
     let solver = InverseKinematics::new(skeleton)?;
     let decoded = integrate_root(decoded, [0.0, skeleton.root_height, 0.0])?;
     let mut animation = resample(&solver.solve(&decoded, options.decoded_fps)?, options.fps)?;
-    let on_skeleton = forward(skeleton, &animation)?;
-    let mut heights = lower_foot_heights(&on_skeleton, skeleton);
-    let (mut positions, source) = if options.fps == options.decoded_fps {
-        heights = between(&lower_foot_heights(&decoded, skeleton), &heights);
-        (decoded, PositionsSource::Decoder)
+    if !options.root_motion {
+        stay(&mut animation);
+    }
+    lift_animation(&mut animation, skeleton)?;
+    let (positions, source) = if options.fps == options.decoded_fps {
+        let positions = stand(decoded, skeleton, options);
+        (positions, PositionsSource::Decoder)
     } else {
-        (on_skeleton, PositionsSource::ForwardKinematics)
+        let positions = forward(skeleton, &animation)?;
+        (positions, PositionsSource::ForwardKinematics)
     };
-    let lift = floor_correction(&heights, options.fps);
-    move_root(&mut positions, &mut animation, &lift, options.root_motion);
     Ok(Finished {
         animation,
         positions,
@@ -87,31 +82,37 @@ pub fn finish(
     })
 }
 
-/// Foot heights between the decoder's and the skeleton's, whose legs are a little longer or shorter.
-/// Both results are handed out (the decoder's positions, the rotations as BVH): with the floor between
-/// the two, each stands on it.
-fn between(decoder: &[f32], skeleton: &[f32]) -> Vec<f32> {
-    decoder
-        .iter()
-        .zip(skeleton)
-        .map(|(d, s)| d + (0.5 * (s - d)).clamp(-SKELETON_SHARE, SKELETON_SHARE))
-        .collect()
+fn stay(animation: &mut Animation) {
+    for root in &mut animation.root {
+        (root.x, root.z) = (0.0, 0.0);
+    }
 }
 
-/// Lifts root and joints, and holds the root at x = z = 0 if it shall not travel.
-fn move_root(positions: &mut Positions, animation: &mut Animation, lift: &[f32], travels: bool) {
-    let frames = animation.root.iter_mut().zip(positions.outer_iter_mut());
-    for ((root, mut pose), &lift) in frames.zip(lift) {
-        let held = if travels {
+/// Stands the skeleton on the floor by its own feet: a decoder's legs stretch and shrink by up to
+/// a tenth, so that the floor under its joints is not the floor under the skeleton's.
+fn lift_animation(animation: &mut Animation, skeleton: &Skeleton) -> Result<(), MotionError> {
+    let heights = lower_foot_heights(&forward(skeleton, animation)?, skeleton);
+    let lift = floor_correction(&heights, animation.fps);
+    for (root, lift) in animation.root.iter_mut().zip(lift) {
+        root.y += lift;
+    }
+    Ok(())
+}
+
+/// Stands the decoder's joints on the floor by their own feet.
+fn stand(mut positions: Positions, skeleton: &Skeleton, options: &FinishOptions) -> Positions {
+    let lift = floor_correction(&lower_foot_heights(&positions, skeleton), options.fps);
+    for (mut pose, lift) in positions.outer_iter_mut().zip(lift) {
+        let held = if options.root_motion {
             [0.0, 0.0]
         } else {
-            [root.x, root.z]
+            [pose[[0, 0]], pose[[0, 2]]]
         };
         for mut joint in pose.outer_iter_mut() {
             joint[0] -= held[0];
             joint[1] += lift;
             joint[2] -= held[1];
         }
-        *root = [pose[[0, 0]], pose[[0, 1]], pose[[0, 2]]].into();
     }
+    positions
 }

@@ -13,10 +13,6 @@ use super::{MotionError, Positions};
 /// # Errors
 /// [`MotionError::Shape`] if the columns are not joints of three, [`MotionError::NotFinite`] for a
 /// NaN or an infinity, including a sum that overflows.
-#[expect(
-    clippy::needless_pass_by_value,
-    reason = "a view is a reference already"
-)]
 pub fn integrate_root(
     decoded: ArrayView2<'_, f32>,
     start: [f32; 3],

@@ -49,10 +49,10 @@ pub(crate) enum ServerError {
     #[error("the upload broke off before its end")]
     UploadBroken,
     #[error(
-        "the audio is larger than {limit} bytes: {lossy} bytes are accepted, {lossless} for wav and flac"
+        "the audio is larger than {limit}: up to {lossy} is accepted, up to {lossless} for wav and flac"
     )]
     TooLarge {
-        limit: u64,
+        limit: ByteSize,
         lossy: ByteSize,
         lossless: ByteSize,
     },

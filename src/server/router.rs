@@ -19,7 +19,6 @@ use super::{
 };
 
 /// The whole service over `engine`, without a listener: what tests drive.
-#[must_use]
 pub fn router(engine: Arc<dyn Generate>, limits: Limits) -> Router {
     router_with(ServerState::new(engine, limits))
 }

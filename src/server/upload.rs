@@ -195,7 +195,7 @@ impl<'limits> AudioBuffer<'limits> {
 
 fn too_large(limit: ByteSize, limits: &Limits) -> ServerError {
     ServerError::TooLarge {
-        limit: limit.0,
+        limit,
         lossy: limits.payload_limit,
         lossless: limits.payload_limit_lossless,
     }

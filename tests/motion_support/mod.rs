@@ -17,10 +17,10 @@ pub(crate) fn skeleton() -> Skeleton {
     serde_json::from_str(include_str!("../fixtures/motion/skeleton.json")).unwrap()
 }
 
-/// A file of `tests/fixtures/motion`.
+/// A file of `tests/fixtures/model`.
 #[allow(dead_code, reason = "not every test binary uses every helper")]
 pub(crate) fn fixture(name: &str) -> Array2<f32> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/motion");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/model");
     ndarray_npy::read_npy(folder.join(name)).unwrap()
 }
 

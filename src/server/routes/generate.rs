@@ -19,7 +19,7 @@ use crate::{
         error::{ErrorBody, ServerError},
         media::Media,
         negotiate,
-        options::{GenerateForm, RequestOptions},
+        options::{AudioFile, GenerateForm, RequestOptions},
         state::{Generate, SharedState},
         upload,
     },
@@ -38,8 +38,8 @@ use crate::{
         description = "The song: wav, flac, mp3, ogg/vorbis or m4a/aac, told from its bytes.",
         content(
             (GenerateForm = "multipart/form-data"),
-            (Vec<u8> = "audio/*"),
-            (Vec<u8> = "application/octet-stream")
+            (AudioFile = "audio/*"),
+            (AudioFile = "application/octet-stream")
         )
     ),
     responses(

@@ -92,7 +92,6 @@ impl ZipFile {
     }
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "the signature of map_err")]
 fn zip_problem(error: zip::result::ZipError) -> Problem {
     Problem::Zip(error.to_string())
 }

@@ -1,0 +1,181 @@
+//! The service over the default model, with real and with broken audio.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::{Arc, LazyLock},
+    time::{Duration, Instant},
+};
+
+use axum::{Router, http::StatusCode};
+use bailando::{
+    engine::Choreographer,
+    server::{Generate, Limits, ServerConfig, router},
+};
+use serde_json::Value;
+
+use crate::{
+    client::{Answer, form, get, raw, send},
+    writers::{SilentFlac, wav, wav_declaring, wav16},
+};
+
+/// One model for all tests: it takes a while to load.
+static MODEL: LazyLock<Choreographer> = LazyLock::new(|| {
+    let config = ServerConfig {
+        model_dir: std::env::var_os("BAILANDO_MODEL_DIR")
+            .map_or_else(|| project("models/default"), PathBuf::from),
+        ..ServerConfig::default()
+    };
+    Choreographer::open(&config.engine()).unwrap()
+});
+
+fn project(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+fn demo(name: &str) -> Vec<u8> {
+    std::fs::read(project("tests/fixtures/audio").join(name)).unwrap()
+}
+
+fn service() -> Router {
+    let engine: Arc<dyn Generate> = Arc::new(MODEL.clone());
+    router(engine, Limits::default())
+}
+
+fn codes(answer: &Answer) -> Value {
+    assert_eq!(answer.status, StatusCode::OK, "{}", answer.json());
+    answer.json()["codes"].clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_container_becomes_json_and_bvh_of_its_length() {
+    const SECONDS: f64 = 4.0;
+    let service = service();
+    for name in [
+        "demo.mp3",
+        "demo.flac",
+        "demo.ogg",
+        "demo.m4a",
+        "demo_44k1_8s.wav",
+    ] {
+        let query = format!("seed=3&duration_s={SECONDS}");
+        let answer = send(&service, raw(&query, demo(name))).await;
+        assert_eq!(answer.status, StatusCode::OK, "{name}: {}", answer.json());
+        let dance = answer.json();
+        let frames = dance["frames"].as_f64().unwrap();
+        assert!((frames - SECONDS * 60.0).abs() <= 8.0, "{name}: {frames}");
+        assert_eq!(dance["positions"].as_array().unwrap().len() as f64, frames);
+        assert!(
+            dance["music"]["tempo_bpm"].as_f64().unwrap() > 0.0,
+            "{name}"
+        );
+        assert_eq!(dance["seed"], 3);
+        let parts: [(&str, &[u8]); 3] = [("format", b"bvh"), ("fps", b"30"), ("file", &demo(name))];
+        let answer = send(&service, form(&query, &parts)).await;
+        assert_eq!(answer.status, StatusCode::OK, "{name}");
+        let bvh = String::from_utf8(answer.body).unwrap();
+        let half = format!("Frames: {}\n", (frames / 2.0).ceil());
+        assert!(bvh.starts_with("HIERARCHY"), "{name}");
+        assert!(bvh.contains(&half), "{name} {half}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_seed_repeats_and_another_differs() {
+    let service = service();
+    let ask = async |query: &str| {
+        let query = format!("duration_s=8&music=false{query}");
+        send(&service, raw(&query, demo("demo.ogg"))).await
+    };
+    let first = ask("&seed=1").await;
+    assert_eq!(codes(&first), codes(&ask("&seed=1").await));
+    assert_ne!(codes(&first), codes(&ask("&seed=2").await));
+    let drawn = ask("").await;
+    let seed = drawn.header("x-seed").to_owned();
+    assert_eq!(codes(&drawn), codes(&ask(&format!("&seed={seed}")).await));
+    assert!(first.json().get("music").is_none());
+    assert!(first.header("x-inference-time").parse::<f64>().unwrap() > 0.0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn broken_audio_is_refused_quickly_and_the_dance_goes_on() {
+    const HOURS: u64 = 10;
+    let service = service();
+    let flac = demo("demo.flac");
+    let silence = SilentFlac {
+        rate: 44_100,
+        channels: 8,
+        frames: HOURS * 3_600 * 44_100,
+        declared: HOURS * 3_600 * 44_100,
+    };
+    let png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR";
+    let cases: Vec<(&str, Vec<u8>, u16)> = vec![
+        ("text", b"this is not music".repeat(100), 415),
+        ("one byte", b"x".to_vec(), 415),
+        ("zip", [&b"PK\x03\x04"[..], &[0; 1_000]].concat(), 415),
+        ("png", png.to_vec(), 415),
+        ("half a flac header", flac[..20].to_vec(), 422),
+        ("a flac header alone", flac[..42].to_vec(), 422),
+        ("0-second wav", wav16(2, 44_100, &[]), 422),
+        ("0.3 s wav", wav16(1, 44_100, &vec![1; 13_230]), 422),
+        ("sample rate 0", wav(1, 0, 16, &[0; 1_000]), 422),
+        (
+            "sample rate of 4 GHz",
+            wav(1, u32::MAX, 16, &[0; 1_000]),
+            422,
+        ),
+        ("10 h of silence", silence.bytes(), 422),
+    ];
+    for (name, audio, status) in cases {
+        for request in [raw("", audio.clone()), form("", &[("file", &audio)])] {
+            let started = Instant::now();
+            let answer = send(&service, request).await;
+            assert!(started.elapsed() < Duration::from_secs(1), "{name}");
+            let error_type = answer.json()["error_type"].as_str().unwrap().to_owned();
+            let said = answer.expect_error(status, &error_type);
+            assert_ne!(error_type, "internal", "{name}: {said}");
+        }
+    }
+    let good = send(&service, raw("duration_s=2", demo("demo.mp3"))).await;
+    assert_eq!(good.status, StatusCode::OK);
+}
+
+/// What a header declares is not believed: what is there is danced to, and the rest is reported.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wav_that_declares_too_much_is_danced_to_with_a_warning() {
+    let noise: Vec<u8> = (0..176_400_u32)
+        .map(|i| (i.wrapping_mul(i) >> 3) as u8)
+        .collect();
+    let truncated = wav_declaring(1, 44_100, 16, &noise, 20_000_000);
+    let answer = send(&service(), raw("", truncated)).await;
+    assert_eq!(answer.status, StatusCode::OK, "{}", answer.json());
+    let dance = answer.json();
+    assert!((dance["duration_s"].as_f64().unwrap() - 2.0).abs() <= 8.0 / 60.0);
+    assert!(!dance["warnings"].as_array().unwrap().is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn options_that_only_the_model_can_judge_are_refused() {
+    let service = service();
+    for query in ["start_upper=1000000", "start_lower=1000000", "hop=1000"] {
+        send(&service, raw(query, demo("demo.mp3")))
+            .await
+            .expect_error(400, "invalid_option");
+    }
+    send(&service, raw("offset_s=10000", demo("demo.mp3")))
+        .await
+        .expect_error(400, "invalid_option");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn info_is_that_of_the_model() {
+    let info = get(&service(), "/info").await.json();
+    assert_eq!(info["model"]["name"], MODEL.manifest().name);
+    assert_eq!(info["model"]["manifest_sha256"], MODEL.model_sha256());
+    assert_eq!(
+        info["model"]["skeleton"]["joints"]
+            .as_array()
+            .unwrap()
+            .len(),
+        MODEL.manifest().skeleton.joints.len()
+    );
+}
