@@ -58,7 +58,7 @@ fn path(folder: &Path, name: &str) -> (PathBuf, String) {
 #[test]
 fn help_is_the_reference() {
     insta::assert_snapshot!("help", succeed(&["--help"]));
-    for command in ["serve", "generate", "features", "healthcheck"] {
+    for command in ["serve", "generate", "features", "evaluate", "healthcheck"] {
         insta::assert_snapshot!(format!("help_{command}"), succeed(&[command, "--help"]));
     }
 }
