@@ -5,11 +5,13 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
+use crate::dsp::{bessel_i0, dot};
+
 /// Cut-off relative to the lower Nyquist frequency: flat to 0.913 of it, -120 dB from 1.0.
 const CUTOFF: f64 = 0.95685;
 /// Largest exact table in coefficients (4 MiB); above it phases are interpolated.
 pub(super) const MAX_TABLE: usize = 1 << 20;
-/// Accumulators of the inner product; the number of taps is a multiple of it.
+/// The number of taps is a multiple of this, which the inner product takes at once.
 const LANES: usize = 16;
 
 /// Half width (in samples of the lower rate) and Kaiser beta for a ratio `to / from`; both pairs
@@ -157,27 +159,4 @@ fn sinc(x: f64) -> f64 {
     } else {
         (PI * x).sin() / (PI * x)
     }
-}
-
-/// Modified Bessel function of the first kind and order zero, by its power series.
-fn bessel_i0(x: f64) -> f64 {
-    let quarter = x * x / 4.0;
-    let (mut sum, mut term, mut k) = (1.0, 1.0, 1.0);
-    while term > 1e-17 * sum {
-        term *= quarter / (k * k);
-        sum += term;
-        k += 1.0;
-    }
-    sum
-}
-
-/// Inner product with independent accumulators, so that it can be vectorised.
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut lanes = [0.0_f32; LANES];
-    for (a, b) in a.chunks_exact(LANES).zip(b.chunks_exact(LANES)) {
-        for ((lane, a), b) in lanes.iter_mut().zip(a).zip(b) {
-            *lane += a * b;
-        }
-    }
-    lanes.iter().sum()
 }
