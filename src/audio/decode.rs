@@ -277,6 +277,7 @@ impl<'job> Sink<'job> {
         self.job.limits.check_length(seconds)?;
         let mut frames = (seconds * f64::from(self.rate)).round() as usize;
         while frames > 0 && !self.is_done() {
+            self.job.watch.check()?;
             let piece = frames.min(PIECE.len());
             self.take(&PIECE[..piece])?;
             frames -= piece;
