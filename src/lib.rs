@@ -7,6 +7,7 @@
 
 pub mod audio;
 pub mod cancel;
+mod dsp;
 pub mod engine;
 pub mod error;
 pub mod evaluation;
