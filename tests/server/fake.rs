@@ -43,6 +43,7 @@ pub(crate) struct Fake {
     pub(crate) ended: Semaphore,
     pub(crate) generations: AtomicUsize,
     pub(crate) saw_cancel: AtomicBool,
+    pub(crate) stopped: AtomicBool,
     pub(crate) heard: Mutex<Vec<Bytes>>,
 }
 
@@ -56,6 +57,7 @@ impl Fake {
             ended: Semaphore::new(0),
             generations: AtomicUsize::new(0),
             saw_cancel: AtomicBool::new(false),
+            stopped: AtomicBool::new(false),
             heard: Mutex::new(Vec::new()),
         })
     }
@@ -108,6 +110,10 @@ impl Generate for Fake {
 
     fn model_sha256(&self) -> &str {
         "0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef"
+    }
+
+    fn is_alive(&self) -> bool {
+        !self.stopped.load(Ordering::SeqCst)
     }
 
     fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
