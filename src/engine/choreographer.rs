@@ -168,7 +168,6 @@ impl Choreographer {
             positions_source: finished.source,
             codes: raw.codes,
             music: listened.music,
-            audio_seconds: heard.duration_s,
             timings,
             warnings: heard.warnings,
         })

@@ -221,7 +221,6 @@ fn dance(options: &GenerationOptions) -> Dance {
             tempo_bpm: 120.0,
             beats_s: vec![0.0, 0.5],
         }),
-        audio_seconds: 2.0 / 60.0,
         timings: Timings {
             queue: Duration::from_micros(100),
             decode: Duration::from_micros(200),
