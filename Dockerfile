@@ -50,6 +50,6 @@ USER 10001:10001
 EXPOSE 8080
 STOPSIGNAL SIGTERM
 HEALTHCHECK --interval=30s --timeout=5s --start-period=20s --retries=3 \
-    CMD ["bailando", "healthcheck", "--url", "http://127.0.0.1:8080/health"]
+    CMD ["bailando", "healthcheck"]
 ENTRYPOINT ["bailando"]
 CMD ["serve"]

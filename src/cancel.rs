@@ -4,12 +4,13 @@
 use std::{
     fmt,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering},
     },
 };
 
-type Hook = Box<dyn Fn() + Send + Sync>;
+/// What to call on cancellation, and the number that its guard knows it by.
+type Hook = (u64, Box<dyn Fn() + Send + Sync>);
 
 /// Cheap-clone handle that tells work to stop. All clones share one state.
 #[derive(Clone, Default)]
@@ -20,8 +21,20 @@ pub struct CancelToken {
 #[derive(Default)]
 struct Shared {
     cancelled: AtomicBool,
-    // The lock is held only to put, take or call the hook; a hook must not call back into the token.
-    hook: Mutex<Option<Hook>>,
+    // The lock is held only to put, take or call hooks; a hook must not call back into the token.
+    hooks: Mutex<Hooks>,
+}
+
+#[derive(Default)]
+struct Hooks {
+    next: u64,
+    list: Vec<Hook>,
+}
+
+impl Shared {
+    fn hooks(&self) -> MutexGuard<'_, Hooks> {
+        self.hooks.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl CancelToken {
@@ -31,15 +44,10 @@ impl CancelToken {
         Self::default()
     }
 
-    /// Asks all holders to stop, and interrupts the run registered by [`CancelToken::interruptible`].
+    /// Asks all holders to stop, and calls what [`CancelToken::interruptible`] registered.
     pub fn cancel(&self) {
         self.shared.cancelled.store(true, Ordering::SeqCst);
-        let hook = self
-            .shared
-            .hook
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        if let Some(interrupt) = hook.as_ref() {
+        for (_, interrupt) in &self.shared.hooks().list {
             interrupt();
         }
     }
@@ -51,22 +59,22 @@ impl CancelToken {
     }
 
     /// Registers `interrupt` to be called on cancellation until the guard is dropped. If the token
-    /// is cancelled already it is called at once. One registration at a time: a later one replaces
-    /// an earlier one.
+    /// is cancelled already it is called at once.
     pub fn interruptible(
         &self,
         interrupt: impl Fn() + Send + Sync + 'static,
     ) -> InterruptGuard<'_> {
-        let mut hook = self
-            .shared
-            .hook
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut hooks = self.shared.hooks();
         if self.is_cancelled() {
             interrupt();
         }
-        *hook = Some(Box::new(interrupt));
-        InterruptGuard { token: self }
+        let number = hooks.next;
+        hooks.next += 1;
+        hooks.list.push((number, Box::new(interrupt)));
+        InterruptGuard {
+            token: self,
+            number,
+        }
     }
 
     /// A guard that cancels when it is dropped, for callers whose future may be dropped midway.
@@ -90,16 +98,13 @@ impl fmt::Debug for CancelToken {
 #[derive(Debug)]
 pub struct InterruptGuard<'token> {
     token: &'token CancelToken,
+    number: u64,
 }
 
 impl Drop for InterruptGuard<'_> {
     fn drop(&mut self) {
-        *self
-            .token
-            .shared
-            .hook
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner) = None;
+        let mut hooks = self.token.shared.hooks();
+        hooks.list.retain(|(number, _)| *number != self.number);
     }
 }
 

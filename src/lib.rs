@@ -3,12 +3,14 @@
 //!
 //! One direction: [`audio`] (bytes to PCM) → [`features`] (PCM to 438 columns) → [`model`] (the
 //! only module that knows ONNX Runtime) → [`motion`] (skeleton, kinematics) → [`mod@format`] (JSON,
-//! BVH). [`engine`] schedules a generation, [`server`] is HTTP only.
+//! BVH). [`engine`] schedules a generation, [`server`] is HTTP only, [`evaluation`] measures dances.
 
 pub mod audio;
 pub mod cancel;
+mod dsp;
 pub mod engine;
 pub mod error;
+pub mod evaluation;
 pub mod features;
 pub mod format;
 pub mod model;

@@ -35,7 +35,7 @@ const PACKAGES: [&str; 4] = [
 ];
 /// Longest wait for the environment; an unreachable index must not hold up the tests.
 const INSTALL_LIMIT: Duration = Duration::from_secs(120);
-/// Issue 3, point 7.
+/// A millimetre: what a rigger would not see.
 const TOLERANCE: f64 = 1e-3;
 
 #[test]

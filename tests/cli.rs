@@ -58,7 +58,7 @@ fn path(folder: &Path, name: &str) -> (PathBuf, String) {
 #[test]
 fn help_is_the_reference() {
     insta::assert_snapshot!("help", succeed(&["--help"]));
-    for command in ["serve", "generate", "features", "healthcheck"] {
+    for command in ["serve", "generate", "features", "evaluate", "healthcheck"] {
         insta::assert_snapshot!(format!("help_{command}"), succeed(&[command, "--help"]));
     }
 }
@@ -68,7 +68,19 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
     let folder = tempfile::tempdir().expect("a folder");
     let (_, json) = path(folder.path(), "dance.json");
     let (_, glb) = path(folder.path(), "dance.glb");
-    let usage: [&[&str]; 5] = [
+    let (_, lost) = path(folder.path(), "no/such/folder/dance.json");
+    let usage: [&[&str]; 8] = [
+        &["generate", SONG, "-o", &lost],
+        &["generate", SONG, "-o", &json, "--max-audio-seconds", "nan"],
+        &[
+            "generate",
+            "--features",
+            "f.npy",
+            "--codes-out",
+            "c.npy",
+            "--fps",
+            "30",
+        ],
         &["dance"],
         &["generate", SONG],
         &["generate", SONG, "-o", &glb],
@@ -158,6 +170,44 @@ fn several_songs_go_to_a_folder_and_a_bad_one_does_not_stop_the_rest() {
     assert_eq!(code, Some(1));
     assert!(message.contains("1 of 2 songs"), "{message}");
     assert!(out.join("demo.json").is_file());
+}
+
+#[test]
+fn dots_in_a_songs_name_stay_in_the_dances_name() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let songs = ["01. B ft. C.ogg", "01. B ft. D.ogg"].map(|name| {
+        let (copy, text) = path(folder.path(), name);
+        let song = Path::new(env!("CARGO_MANIFEST_DIR")).join(SONG);
+        std::fs::copy(song, copy).expect("copied");
+        text
+    });
+    let (out, out_text) = path(folder.path(), "dances");
+    succeed(&[
+        "generate",
+        &songs[0],
+        &songs[1],
+        "--out-dir",
+        &out_text,
+        "--duration-s",
+        "1",
+    ]);
+    assert!(out.join("01. B ft. C.bvh").is_file());
+    assert!(out.join("01. B ft. D.bvh").is_file());
+}
+
+#[test]
+fn rows_that_declare_more_than_they_hold_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (rows, rows_text) = path(folder.path(), "rows.npy");
+    let (_, codes) = path(folder.path(), "codes.npy");
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (1000000000000, 438), }\n";
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    std::fs::write(rows, bytes).expect("written");
+    let (code, message) = fail(&["generate", "--features", &rows_text, "--codes-out", &codes]);
+    assert_eq!(code, Some(1), "{message}");
+    assert!(message.contains("rows.npy: not float32 rows"), "{message}");
 }
 
 #[test]

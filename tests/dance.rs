@@ -145,10 +145,9 @@ fn assert_on_the_floor(dance: &Dance, positions: &Positions, what: &str) {
     }
 }
 
-fn assert_plausible(dance: &Dance, what: &str) {
-    let positions = &dance.positions;
-    let frames = positions.dim().0;
-    for frame in 0..frames {
+/// A human body in every frame, that moves, on the floor.
+fn assert_plausible_body(dance: &Dance, positions: &Positions, what: &str) {
+    for frame in 0..positions.dim().0 {
         let pelvis = joint(positions, frame, 0)[1];
         assert!(
             (0.6..=1.2).contains(&pelvis),
@@ -169,8 +168,41 @@ fn assert_plausible(dance: &Dance, what: &str) {
         "{what}: mean joint speed {speed} m/s"
     );
     assert_on_the_floor(dance, positions, what);
-    let skeleton_positions = forward(&dance.skeleton, &dance.animation).unwrap();
-    assert_on_the_floor(dance, &skeleton_positions, &format!("{what}, skeleton"));
+}
+
+/// The skeleton steps where the decoder does: it floats no more than the decoder's own feet do, and
+/// both have one root.
+fn assert_skeleton_follows(dance: &Dance, skeleton: &Positions, what: &str) {
+    let decoder = lower_foot_heights(&dance.positions, &dance.skeleton);
+    let posed = lower_foot_heights(skeleton, &dance.skeleton);
+    let (mut floating, mut apart) = (0, 0);
+    for (frame, (own, posed)) in decoder.iter().zip(&posed).enumerate() {
+        floating += usize::from(posed - own.max(0.0) > 0.08);
+        let feet = [10, 11].map(|foot| {
+            distance(
+                joint(skeleton, frame, foot),
+                joint(&dance.positions, frame, foot),
+            )
+        });
+        apart += usize::from(feet.iter().any(|&metres| metres > 0.03));
+        let roots = joint(skeleton, frame, 0)[1] - joint(&dance.positions, frame, 0)[1];
+        assert!(
+            roots.abs() < 0.03,
+            "{what}: roots {roots} m apart in frame {frame}"
+        );
+    }
+    assert_eq!(floating, 0, "{what}: frames that float by 8 cm");
+    assert!(
+        apart * 100 <= decoder.len(),
+        "{what}: in {apart} frames a foot is 3 cm from the decoder's"
+    );
+}
+
+fn assert_plausible(dance: &Dance, what: &str) {
+    assert_plausible_body(dance, &dance.positions, what);
+    let skeleton = forward(&dance.skeleton, &dance.animation).unwrap();
+    assert_plausible_body(dance, &skeleton, &format!("{what}, skeleton"));
+    assert_skeleton_follows(dance, &skeleton, what);
     for (half, codes) in [("upper", &dance.codes.upper), ("lower", &dance.codes.lower)] {
         let distinct = codes.iter().collect::<HashSet<_>>().len();
         assert!(distinct >= 30, "{what}: {distinct} distinct {half} codes");

@@ -142,7 +142,7 @@ fn recordings_that_stand_are_hardly_moved() {
     };
     for (path, positions) in recordings(&folder) {
         let lift = floor_correction(&lower_foot_heights(&positions, &skeleton()), 60);
-        // They do lie a little high or low for seconds: DATA.md has the standing ball at 3 cm.
+        // They do lie a little high or low for seconds: the recordings' standing ball is at 3 cm.
         let furthest = lift.iter().map(|l| l.abs()).fold(0.0, f32::max);
         assert!(furthest < 0.07, "{}: {furthest} m", path.display());
         let fastest = lift.windows(2).map(|two| 60.0 * (two[1] - two[0]).abs());

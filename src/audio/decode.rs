@@ -277,6 +277,7 @@ impl<'job> Sink<'job> {
         self.job.limits.check_length(seconds)?;
         let mut frames = (seconds * f64::from(self.rate)).round() as usize;
         while frames > 0 && !self.is_done() {
+            self.job.watch.check()?;
             let piece = frames.min(PIECE.len());
             self.take(&PIECE[..piece])?;
             frames -= piece;
@@ -335,5 +336,30 @@ fn use_part(window: &mut Window, outputs: &mut [(Resampler, Vec<f32>)], heard: &
     }
     for (resampler, signal) in outputs {
         resampler.process(wanted, signal);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::CancelToken;
+
+    #[test]
+    fn silence_is_given_up_when_the_caller_is_gone() {
+        let limits = AudioLimits::default();
+        let cancel = CancelToken::new();
+        let watch = Watch::start(&limits, &cancel);
+        let job = Job {
+            range: AudioRange::default(),
+            rates: &[3_840],
+            limits: &limits,
+            watch: &watch,
+        };
+        let mut sink = Sink::new(Trim::default(), 8_000, 1, &job);
+        assert!(sink.silence(2.0).is_ok());
+        assert_eq!(sink.received, 16_000);
+        cancel.cancel();
+        assert!(matches!(sink.silence(60.0), Err(AudioError::Cancelled)));
+        assert_eq!(sink.received, 16_000);
     }
 }

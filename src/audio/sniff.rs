@@ -26,6 +26,23 @@ pub enum Container {
     M4a,
 }
 
+impl Container {
+    /// Every accepted container.
+    pub const ALL: [Self; 5] = [Self::Wav, Self::Flac, Self::Mp3, Self::Ogg, Self::M4a];
+
+    /// Name for programs, with the codec where the container may hold others.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Wav => "wav",
+            Self::Flac => "flac",
+            Self::Mp3 => "mp3",
+            Self::Ogg => "ogg/vorbis",
+            Self::M4a => "m4a/aac",
+        }
+    }
+}
+
 impl fmt::Display for Container {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {

@@ -25,7 +25,12 @@ pub(super) struct FeaturesArgs {
     #[arg(long, value_enum, default_value = "librosa-0.11")]
     profile: ProfileArg,
     /// Longest song in seconds
-    #[arg(long, env = "BAILANDO_MAX_AUDIO_SECONDS", default_value_t = AudioLimits::default().max_seconds)]
+    #[arg(
+        long,
+        env = "BAILANDO_MAX_AUDIO_SECONDS",
+        default_value_t = AudioLimits::default().max_seconds,
+        value_parser = super::positive_seconds
+    )]
     max_audio_seconds: f64,
 }
 

@@ -13,17 +13,20 @@ use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange},
     engine::{Choreographer, EngineConfig, GenerationOptions},
+    features::COLUMNS,
     format::{Codes, Dance},
     model::WindowKind,
     motion,
 };
 use clap::{ArgAction, ValueEnum};
 use ndarray::Array2;
+use ndarray_npy::ViewNpyExt;
 
 use super::{
     Usage,
     inputs::audio_files,
-    output::{FileFormat, OutputArgs, write_positions},
+    output::{FileFormat, OutputArgs, check_folder_of, write_positions},
+    positive_seconds,
     progress::Bar,
     say, say_error,
 };
@@ -97,7 +100,12 @@ struct SongArgs {
     #[arg(long, action = ArgAction::Set, value_name = "BOOL")]
     music: Option<bool>,
     /// Longest song in seconds
-    #[arg(long, env = "BAILANDO_MAX_AUDIO_SECONDS", default_value_t = AudioLimits::default().max_seconds)]
+    #[arg(
+        long,
+        env = "BAILANDO_MAX_AUDIO_SECONDS",
+        default_value_t = AudioLimits::default().max_seconds,
+        value_parser = positive_seconds
+    )]
     max_audio_seconds: f64,
 }
 
@@ -106,7 +114,14 @@ struct SongArgs {
 #[command(next_help_heading = "Feature rows instead of audio")]
 struct RowsArgs {
     /// Feature rows, float32 [rows, 438], as `bailando features` writes them
-    #[arg(long, value_name = "F.npy")]
+    #[arg(
+        long,
+        value_name = "F.npy",
+        conflicts_with_all = [
+            "output", "out_dir", "include_rotations", "encoding", "bvh_unit", "offset_s",
+            "duration_s", "fps", "root_motion", "music", "max_audio_seconds",
+        ]
+    )]
     features: Option<PathBuf>,
     /// Where the pose codes go: int64 [2, codes], upper then lower
     #[arg(long, value_name = "C.npy", requires = "features")]
@@ -251,8 +266,10 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
     if codes_out.is_none() && positions_out.is_none() {
         return Err(Usage("say what to write: --codes-out or --positions-out".into()).into());
     }
-    let rows: Array2<f32> = ndarray_npy::read_npy(features)
-        .with_context(|| format!("{}: not float32 rows of 438 columns", features.display()))?;
+    for path in [codes_out, positions_out].into_iter().flatten() {
+        check_folder_of(path)?;
+    }
+    let rows = read_rows(features)?;
     let choreographer = args.open(1)?;
     let raw = choreographer.dance_to_rows(
         rows,
@@ -275,6 +292,15 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
         raw.seed
     ));
     Ok(())
+}
+
+/// Reads feature rows through a memory-sized view of the file: the reader of whole arrays allocates
+/// what the header declares, true or not.
+fn read_rows(path: &Path) -> anyhow::Result<Array2<f32>> {
+    let name = || format!("{}: not float32 rows of {COLUMNS} columns", path.display());
+    let bytes = fs::read(path).with_context(|| path.display().to_string())?;
+    let rows = ndarray::ArrayView2::<f32>::view_npy(&bytes).with_context(name)?;
+    Ok(rows.to_owned())
 }
 
 /// Codes as int64 [2, codes], upper then lower.

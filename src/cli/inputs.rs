@@ -10,7 +10,7 @@ use anyhow::Context;
 use super::Usage;
 
 /// Extensions of the files that are taken from a folder; single files are told by their bytes.
-const EXTENSIONS: [&str; 8] = ["wav", "flac", "mp3", "ogg", "oga", "m4a", "mp4", "aac"];
+const EXTENSIONS: [&str; 7] = ["wav", "flac", "mp3", "ogg", "oga", "m4a", "mp4"];
 
 /// The files named by `inputs`; a folder stands for the audio files directly inside it, by name.
 pub(super) fn audio_files(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {

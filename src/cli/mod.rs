@@ -1,5 +1,6 @@
 //! The command line: parse, call, print.
 
+mod evaluate;
 mod features;
 mod generate;
 mod healthcheck;
@@ -13,7 +14,7 @@ use std::{
     process::ExitCode,
 };
 
-use bailando::{Error, engine::EngineError};
+use bailando::{Error, engine::EngineError, evaluation::EvaluationError};
 use clap::{Parser, Subcommand};
 
 /// Music in, dance out: 3-D dance for a song.
@@ -34,6 +35,8 @@ enum Command {
     Generate(Box<generate::GenerateArgs>),
     /// Write a song's music features as a NumPy file
     Features(features::FeaturesArgs),
+    /// Compare generated dances with recordings: FID, diversity, beat align score and more
+    Evaluate(Box<evaluate::EvaluateArgs>),
     /// Ask a running server whether it is alive; for container probes
     Healthcheck(healthcheck::HealthcheckArgs),
 }
@@ -49,6 +52,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         Command::Generate(args) => generate::run(&args),
         Command::Features(args) => features::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
         Command::Healthcheck(args) => healthcheck::run(&args),
     };
     match result {
@@ -61,8 +65,22 @@ pub(crate) fn run() -> ExitCode {
 }
 
 fn is_usage(error: &anyhow::Error) -> bool {
-    let option = |error: &Error| matches!(error, Error::Engine(EngineError::Option { .. }));
+    let option = |error: &Error| {
+        matches!(
+            error,
+            Error::Engine(EngineError::Option { .. })
+                | Error::Evaluation(EvaluationError::Option(_))
+        )
+    };
     error.is::<Usage>() || error.downcast_ref::<Error>().is_some_and(option)
+}
+
+/// Seconds above 0, for limits: NaN would switch one off.
+fn positive_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("expected seconds above 0".into()),
+    }
 }
 
 /// One line on standard output. A reader that has gone is no failure of ours.

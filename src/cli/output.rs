@@ -91,7 +91,11 @@ impl OutputArgs {
     /// One output per input, before any work is done.
     pub(super) fn targets(&self, inputs: &[PathBuf]) -> anyhow::Result<Vec<(PathBuf, FileFormat)>> {
         match (&self.output, &self.out_dir, inputs) {
-            (Some(output), None, [_]) => Ok(vec![(output.clone(), FileFormat::of(output)?)]),
+            (Some(output), None, [_]) => {
+                let format = FileFormat::of(output)?;
+                check_folder_of(output)?;
+                Ok(vec![(output.clone(), format)])
+            }
             (Some(_), None, _) => {
                 Err(Usage("several songs need --out-dir instead of --output".into()).into())
             }
@@ -110,8 +114,11 @@ impl OutputArgs {
         fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         let mut targets: Vec<(PathBuf, FileFormat)> = Vec::new();
         for input in inputs {
-            let stem = input.file_stem().unwrap_or_default();
-            let target = folder.join(stem).with_extension(self.format.extension());
+            // Appended, not `with_extension`: song names hold dots of their own.
+            let mut name = input.file_stem().unwrap_or_default().to_os_string();
+            name.push(".");
+            name.push(self.format.extension());
+            let target = folder.join(name);
             if targets.iter().any(|(other, _)| *other == target) {
                 let name = target.display();
                 return Err(Usage(format!("two songs would be written to {name}")).into());
@@ -148,6 +155,17 @@ impl OutputArgs {
             .write(dance, &json, unit)
             .map_err(bailando::Error::from)?;
         fs::write(path, bytes).with_context(|| path.display().to_string())
+    }
+}
+
+/// Finds out before hours of work, not after, that a file's folder is not there.
+pub(super) fn check_folder_of(file: &Path) -> Result<(), Usage> {
+    match file.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => Err(Usage(format!(
+            "{}: there is no such folder",
+            folder.display()
+        ))),
+        _ => Ok(()),
     }
 }
 

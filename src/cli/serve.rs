@@ -1,6 +1,9 @@
 //! `bailando serve`: the HTTP server.
 
-use bailando::server::{self, ServerConfig};
+use anyhow::Context;
+use bailando::server::{self, ServeError, ServerConfig};
+
+use super::Usage;
 
 /// Run the HTTP server
 #[derive(Debug, clap::Args)]
@@ -11,5 +14,8 @@ pub(super) struct ServeArgs {
 
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     server::init_logging(args.config.json_output);
-    server::start(&args.config)
+    match server::start(&args.config) {
+        Err(ServeError::Limits(contradiction)) => Err(Usage(contradiction.to_string()).into()),
+        ended => ended.context("the server failed"),
+    }
 }

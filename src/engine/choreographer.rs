@@ -100,6 +100,12 @@ impl Choreographer {
         self.shared.directory.manifest_sha256()
     }
 
+    /// Whether the model's thread still takes work.
+    #[must_use]
+    pub fn is_alive(&self) -> bool {
+        self.shared.worker.is_alive()
+    }
+
     /// Checks `options` against the model without any work.
     ///
     /// # Errors
@@ -162,7 +168,6 @@ impl Choreographer {
             positions_source: finished.source,
             codes: raw.codes,
             music: listened.music,
-            audio_seconds: heard.duration_s,
             timings,
             warnings: heard.warnings,
         })

@@ -10,11 +10,11 @@ use super::{
 use crate::{
     CancelToken,
     format::Codes,
-    model::{Decoder, Gpt, ModelError, Steps},
+    model::{Decoder, Gpt, Manifest, ModelError, Steps},
 };
 
 /// Codes decoded per chunk besides the overlap: two shapes at most are decoded per song.
-const CHUNK_CODES: usize = 64;
+pub(crate) const CHUNK_CODES: usize = 64;
 
 /// What one request's loop runs on.
 pub(crate) struct Request<'a> {
@@ -79,15 +79,16 @@ fn sample_newest(sampler: &mut Sampler, logits: &Array2<f32>) -> u32 {
 
 /// Decodes a whole piece in overlapping chunks: the same as at once, with bounded memory.
 ///
-/// `receptive` codes on either side of a chunk are decoded with it and dropped again; only the
+/// The manifest's `receptive_codes` on either side of a chunk are decoded with it and dropped again; only the
 /// piece's own ends see the zero padding (ARCHITECTURE section 2).
 pub(crate) fn decode_codes(
     decoder: &mut Decoder,
     codes: &Codes,
-    receptive: usize,
-    frames_per_code: usize,
+    manifest: &Manifest,
     cancel: &CancelToken,
 ) -> Result<Array2<f32>, ModelError> {
+    let receptive = manifest.decoder.receptive_codes;
+    let frames_per_code = manifest.frames_per_code;
     let total = codes.upper.len();
     let mut motion: Option<Array2<f32>> = None;
     let mut from = 0;

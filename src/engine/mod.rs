@@ -5,12 +5,15 @@ mod error;
 mod generator;
 mod options;
 mod progress;
+mod queue;
 mod sampler;
+mod sessions;
 mod window;
 mod worker;
 
+pub use crate::model::MAX_TEMPERATURE;
 pub use choreographer::{Choreographer, EngineConfig, RawDance};
 pub use error::EngineError;
-pub use options::{GenerationOptions, MAX_TEMPERATURE};
+pub use options::GenerationOptions;
 pub use progress::{Progress, Stage};
 pub use sampler::MAX_SEED;

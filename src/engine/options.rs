@@ -3,12 +3,9 @@
 use super::{EngineError, MAX_SEED};
 use crate::{
     audio::AudioRange,
-    model::{Manifest, WindowKind},
+    model::{MAX_TEMPERATURE, Manifest, WindowKind},
     motion,
 };
-
-/// Highest temperature: beyond it every code is as likely as the next.
-pub const MAX_TEMPERATURE: f32 = 10.0;
 
 /// What a caller may choose about a generation (API.md). `None` means the manifest's default.
 #[derive(Clone, Debug, PartialEq)]

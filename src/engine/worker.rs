@@ -1,27 +1,25 @@
-//! The thread that owns the ONNX sessions, behind a bounded channel.
+//! The thread that owns the ONNX sessions, behind a bounded queue.
 
 use std::{
+    fmt,
     panic::{self, AssertUnwindSafe},
     sync::Arc,
     thread,
     time::{Duration, Instant},
 };
 
-use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
+use crossbeam_channel::{Sender, bounded};
 use ndarray::Array2;
 
 use super::{
     EngineError,
-    generator::{Request, decode_codes, generate_codes},
-    progress::{Progress, Stage},
-    sampler::{Sampler, Sampling},
+    progress::Progress,
+    queue::{Queue, Refused},
+    sampler::Sampling,
+    sessions::Sessions,
     window::Window,
 };
-use crate::{
-    CancelToken, Error, Result,
-    format::Codes,
-    model::{Decoder, Gpt, Manifest, ModelDirectory, ModelError, WindowKind},
-};
+use crate::{CancelToken, Result, format::Codes, model::ModelDirectory};
 
 /// One request's work for the model.
 pub(crate) struct Job {
@@ -59,11 +57,24 @@ struct Ticket {
     reply: Sender<Result<Outcome>>,
 }
 
-/// Handle to the model thread; clones share it. The thread ends when the last handle is dropped.
-#[derive(Clone, Debug)]
+impl Drop for Ticket {
+    /// A ticket that the model's thread did not answer is answered by its end; after an answer
+    /// nobody listens any more.
+    fn drop(&mut self) {
+        let _ = self.reply.try_send(Err(EngineError::Stopped.into()));
+    }
+}
+
+impl fmt::Debug for Ticket {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Ticket").finish_non_exhaustive()
+    }
+}
+
+/// Handle to the model thread, which ends when the handle is dropped.
+#[derive(Debug)]
 pub(crate) struct Worker {
-    queue: Sender<Ticket>,
-    capacity: usize,
+    queue: Arc<Queue<Ticket>>,
 }
 
 impl Worker {
@@ -73,148 +84,86 @@ impl Worker {
         threads: usize,
         capacity: usize,
     ) -> Result<Self> {
-        let capacity = capacity.max(1);
-        let (queue, tickets) = bounded::<Ticket>(capacity);
+        let queue = Arc::new(Queue::new(capacity));
+        let guard = AbandonOnDrop(Arc::clone(&queue));
         let (ready, loaded) = bounded(1);
         thread::Builder::new()
             .name("model".into())
-            .spawn(move || match Sessions::load(&directory, threads) {
-                Ok(mut sessions) => {
-                    // A full or gone receiver only means that nobody waits any more.
-                    let _ = ready.send(Ok(()));
-                    drop(ready);
-                    serve(&mut sessions, &tickets);
-                }
-                Err(error) => {
-                    let _ = ready.send(Err(error));
+            .spawn(move || {
+                // Whatever ends this thread, nobody waits for it any longer.
+                let guard = guard;
+                match Sessions::load(directory, threads) {
+                    Ok(mut sessions) => {
+                        // A receiver that has gone only means that nobody waits any more.
+                        let _ = ready.send(Ok(()));
+                        serve(&mut sessions, &guard.0);
+                    }
+                    Err(error) => {
+                        let _ = ready.send(Err(error));
+                    }
                 }
             })
             .map_err(|_| EngineError::Stopped)?;
         loaded.recv().map_err(|_| EngineError::Stopped)??;
-        Ok(Self { queue, capacity })
+        Ok(Self { queue })
     }
 
-    /// Queues `job` and waits for its outcome; blocks the calling thread.
+    /// Queues `job` and waits for its outcome; blocks the calling thread, at most until `job` is
+    /// cancelled.
     pub(crate) fn run(&self, job: Job) -> Result<Outcome> {
+        let cancel = job.cancel.clone();
         let (reply, outcome) = bounded(1);
+        // The first to speak is heard: the model's thread, or the cancellation.
+        let _guard = cancel.interruptible({
+            let reply = reply.clone();
+            move || {
+                let _ = reply.try_send(Err(EngineError::Cancelled.into()));
+            }
+        });
         let ticket = Ticket {
             job,
             submitted: Instant::now(),
             reply,
         };
-        self.queue.try_send(ticket).map_err(|error| match error {
-            TrySendError::Full(_) => EngineError::QueueFull {
-                capacity: self.capacity,
+        let number = self.queue.push(ticket).map_err(|refused| match refused {
+            Refused::Full => EngineError::QueueFull {
+                capacity: self.queue.capacity(),
             },
-            TrySendError::Disconnected(_) => EngineError::Stopped,
+            Refused::Closed => EngineError::Stopped,
         })?;
-        outcome.recv().map_err(|_| EngineError::Stopped)?
+        let result = outcome.recv().map_err(|_| EngineError::Stopped)?;
+        // One that was cancelled while it waited gives its place back.
+        self.queue.remove(number);
+        result
+    }
+
+    /// Whether the model's thread still takes work.
+    pub(crate) fn is_alive(&self) -> bool {
+        !self.queue.is_closed()
     }
 }
 
-fn serve(sessions: &mut Sessions, tickets: &Receiver<Ticket>) {
-    for Ticket {
-        job,
-        submitted,
-        reply,
-    } in tickets
-    {
-        let queued = submitted.elapsed();
+impl Drop for Worker {
+    fn drop(&mut self) {
+        self.queue.close();
+    }
+}
+
+struct AbandonOnDrop(Arc<Queue<Ticket>>);
+
+impl Drop for AbandonOnDrop {
+    fn drop(&mut self) {
+        self.0.abandon();
+    }
+}
+
+fn serve(sessions: &mut Sessions, queue: &Queue<Ticket>) {
+    while let Some(ticket) = queue.pop() {
+        let queued = ticket.submitted.elapsed();
         // A panic costs this request only: the sessions hold no state between jobs.
-        let result = panic::catch_unwind(AssertUnwindSafe(|| sessions.run(&job, queued)))
+        let result = panic::catch_unwind(AssertUnwindSafe(|| sessions.run(&ticket.job, queued)))
             .unwrap_or_else(|_| Err(EngineError::Panicked.into()));
-        // The receiver may have gone; its request is over then.
-        let _ = reply.send(result);
-    }
-}
-
-struct Sessions {
-    gpt: Gpt,
-    decoder: Decoder,
-    directory: ModelDirectory,
-}
-
-impl Sessions {
-    fn load(directory: &ModelDirectory, threads: usize) -> Result<Self> {
-        let mut sessions = Self {
-            gpt: directory.gpt(threads)?,
-            decoder: directory.decoder(threads)?,
-            directory: directory.clone(),
-        };
-        sessions.warm_up()?;
-        Ok(sessions)
-    }
-
-    /// Two steps and their frames: a graph that cannot run is found at start, not by a user.
-    fn warm_up(&mut self) -> Result<()> {
-        let columns = self.directory.manifest().features.columns;
-        let job = Job {
-            music: Array2::zeros((3, columns)),
-            sampling: Sampling {
-                temperature: 0.0,
-                top_k: None,
-            },
-            seed: 0,
-            start: [Some(0), Some(0)],
-            window: Window::new(WindowKind::Sliding, 1, 2),
-            progress: Arc::new(()),
-            cancel: CancelToken::new(),
-        };
-        self.run(&job, Duration::ZERO).map(drop)
-    }
-
-    fn run(&mut self, job: &Job, queued: Duration) -> Result<Outcome> {
-        let started = Instant::now();
-        let manifest = self.directory.manifest();
-        let mut sampler = Sampler::new(job.sampling, job.seed);
-        let start = start_codes(job.start, manifest, &mut sampler);
-        let request = Request {
-            music: job.music.view(),
-            start,
-            window: job.window,
-            progress: job.progress.as_ref(),
-            cancel: &job.cancel,
-        };
-        let codes = generate_codes(&mut self.gpt, &mut sampler, &request).map_err(cancelled)?;
-        job.progress.stage(Stage::Motion);
-        let motion = decode_codes(
-            &mut self.decoder,
-            &codes,
-            manifest.decoder.receptive_codes,
-            manifest.frames_per_code,
-            &job.cancel,
-        )
-        .map_err(cancelled)?;
-        Ok(Outcome {
-            codes,
-            motion,
-            queued,
-            inference: started.elapsed(),
-        })
-    }
-}
-
-/// The start pair: given codes win; the rest is drawn as a pair from the manifest's list, or from
-/// the whole vocabulary when it has none. Both numbers are drawn always, so that giving one half
-/// does not change the dance's other draws.
-fn start_codes(given: [Option<u32>; 2], manifest: &Manifest, sampler: &mut Sampler) -> [u32; 2] {
-    let vocabulary = manifest.vocabulary;
-    let drawn = match manifest.start_codes.as_slice() {
-        [] => [
-            sampler.uniform(vocabulary.upper) as u32,
-            sampler.uniform(vocabulary.lower) as u32,
-        ],
-        pairs => pairs
-            .get(sampler.uniform(pairs.len()))
-            .copied()
-            .unwrap_or_default(),
-    };
-    [given[0].unwrap_or(drawn[0]), given[1].unwrap_or(drawn[1])]
-}
-
-fn cancelled(error: ModelError) -> Error {
-    match error {
-        ModelError::Cancelled => EngineError::Cancelled.into(),
-        other => other.into(),
+        // Full when the request was cancelled meanwhile: it has its answer then.
+        let _ = ticket.reply.try_send(result);
     }
 }

@@ -57,8 +57,6 @@ pub struct Dance {
     pub codes: Codes,
     /// Tempo and beats, when asked for.
     pub music: Option<MusicInfo>,
-    /// Seconds of audio danced to.
-    pub audio_seconds: f64,
     /// Wall time per stage.
     pub timings: Timings,
     /// What was trimmed, truncated or assumed, in plain words.

@@ -283,7 +283,6 @@ mod tests {
                 tempo_bpm: 0.0,
                 beats_s: Vec::new(),
             }),
-            audio_seconds: 0.0,
             timings: Timings::default(),
             warnings: Vec::new(),
         };

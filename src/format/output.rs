@@ -41,23 +41,6 @@ impl OutputFormat {
         }
     }
 
-    /// The format with this media type, parameters (`; charset=utf-8`) and case aside.
-    ///
-    /// # Errors
-    /// [`FormatError::Unknown`] for any other media type.
-    pub fn from_content_type(media_type: &str) -> Result<Self, FormatError> {
-        let essence = media_type.split(';').next().unwrap_or_default().trim();
-        Self::find(essence, Self::content_type)
-    }
-
-    /// The format of files with this extension, without the dot and in any case.
-    ///
-    /// # Errors
-    /// [`FormatError::Unknown`] for any other extension.
-    pub fn from_extension(extension: &str) -> Result<Self, FormatError> {
-        Self::find(extension, Self::name)
-    }
-
     /// Writes a dance in this format.
     ///
     /// # Errors
@@ -73,20 +56,16 @@ impl OutputFormat {
             Self::Bvh => to_bvh(dance, unit).map(String::into_bytes),
         }
     }
-
-    fn find(wanted: &str, key: fn(Self) -> &'static str) -> Result<Self, FormatError> {
-        Self::ALL
-            .into_iter()
-            .find(|&format| key(format).eq_ignore_ascii_case(wanted))
-            .ok_or_else(|| FormatError::Unknown { got: wanted.into() })
-    }
 }
 
 impl FromStr for OutputFormat {
     type Err = FormatError;
 
     fn from_str(name: &str) -> Result<Self, FormatError> {
-        Self::find(name, Self::name)
+        Self::ALL
+            .into_iter()
+            .find(|format| format.name().eq_ignore_ascii_case(name))
+            .ok_or_else(|| FormatError::Unknown { got: name.into() })
     }
 }
 
@@ -98,23 +77,12 @@ mod tests {
     fn every_name_leads_back_to_its_format() {
         for format in OutputFormat::ALL {
             assert_eq!(format.name().parse::<OutputFormat>().unwrap(), format);
-            assert_eq!(OutputFormat::from_extension(format.name()).unwrap(), format);
-            let parameters = format!("{} ; charset=utf-8", format.content_type().to_uppercase());
-            assert_eq!(
-                OutputFormat::from_content_type(&parameters).unwrap(),
-                format
-            );
         }
     }
 
     #[test]
     fn other_names_are_refused_with_what_there_is() {
-        for error in [
-            "fbx".parse::<OutputFormat>().unwrap_err(),
-            OutputFormat::from_content_type("video/mp4").unwrap_err(),
-            OutputFormat::from_extension("").unwrap_err(),
-        ] {
-            assert!(error.to_string().ends_with("choose json or bvh"), "{error}");
-        }
+        let error = "fbx".parse::<OutputFormat>().unwrap_err();
+        assert!(error.to_string().ends_with("choose json or bvh"), "{error}");
     }
 }

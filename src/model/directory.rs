@@ -28,6 +28,9 @@ impl ModelDirectory {
     /// [`ModelError::Read`], [`ModelError::Manifest`] or [`ModelError::Mismatch`], naming the file.
     pub fn open(root: &Path) -> Result<Self, ModelError> {
         let path = root.join("manifest.json");
+        if !path.is_file() {
+            return Err(ModelError::NoModel { path });
+        }
         let text = read_limited(&path, MANIFEST_LIMIT)?;
         let refuse = |problem: String| ModelError::Manifest {
             path: path.clone(),

@@ -14,6 +14,12 @@ pub enum ModelError {
         /// Why; not a `source`, because the message holds it already.
         reason: std::io::Error,
     },
+    /// The folder is not a model directory.
+    #[error("{}: there is no such file: name a model directory with --model-dir", path.display())]
+    NoModel {
+        /// The manifest that was looked for.
+        path: PathBuf,
+    },
     /// `manifest.json` is not a manifest.
     #[error("{}: not a manifest this version reads: {problem}", path.display())]
     Manifest {

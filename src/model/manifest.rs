@@ -148,6 +148,15 @@ pub struct FileEntry {
     pub sha256: String,
 }
 
+/// Highest temperature: beyond it every code is as likely as the next.
+pub const MAX_TEMPERATURE: f32 = 10.0;
+// A directory from a stranger must not make us allocate what it declares; the published sizes are
+// 12, 29, 768, 512 and 25.
+const MAX_LAYERS: usize = 256;
+const MAX_BLOCK: usize = 4096;
+const MAX_CHANNELS: usize = 16_384;
+const MAX_CODES: usize = 65_536;
+const MAX_RECEPTIVE_CODES: usize = 4096;
 /// Files that every model directory has besides its manifest.
 const REQUIRED_FILES: [&str; 3] = ["gpt.onnx", "decoder.onnx", "encoder.onnx"];
 
@@ -215,17 +224,29 @@ impl Manifest {
                 gpt.channels, gpt.heads
             ));
         }
-        if gpt.layers == 0 || gpt.context == 0 || gpt.context > gpt.block {
+        if gpt.context == 0 || gpt.context >= gpt.block {
             return Err(format!(
-                "gpt has {} layers and a context of {} in a block of {}",
-                gpt.layers, gpt.context, gpt.block
+                "gpt has a context of {} in a block of {}: at least 1 and below the block",
+                gpt.context, gpt.block
             ));
         }
-        let limit = u32::MAX as usize;
-        let Vocabulary { upper, lower } = self.vocabulary;
-        if upper == 0 || lower == 0 || upper > limit || lower > limit {
+        let sizes = [
+            ("layers", gpt.layers, MAX_LAYERS),
+            ("block", gpt.block, MAX_BLOCK),
+            ("channels", gpt.channels, MAX_CHANNELS),
+            ("decoder width", self.decoder.width, MAX_CHANNELS),
+            ("upper vocabulary", self.vocabulary.upper, MAX_CODES),
+            ("lower vocabulary", self.vocabulary.lower, MAX_CODES),
+        ];
+        for (name, size, most) in sizes {
+            if !(1..=most).contains(&size) {
+                return Err(format!("{name} is {size}, expected 1 to {most}"));
+            }
+        }
+        let receptive = self.decoder.receptive_codes;
+        if receptive > MAX_RECEPTIVE_CODES {
             return Err(format!(
-                "the vocabulary has {upper} upper and {lower} lower codes"
+                "receptive_codes is {receptive}, expected at most {MAX_RECEPTIVE_CODES}"
             ));
         }
         Ok(())
@@ -243,8 +264,10 @@ impl Manifest {
             hop,
             ..
         } = self.sampling;
-        if !temperature.is_finite() || temperature < 0.0 {
-            return Err(format!("sampling temperature is {temperature}"));
+        if !(0.0..=MAX_TEMPERATURE).contains(&temperature) {
+            return Err(format!(
+                "sampling temperature is {temperature}, expected 0 to {MAX_TEMPERATURE}"
+            ));
         }
         if top_k == Some(0) {
             return Err("sampling top_k is 0".into());

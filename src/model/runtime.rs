@@ -3,10 +3,10 @@
 use std::{
     env::{self, consts},
     path::{Path, PathBuf},
-    sync::OnceLock,
+    sync::{Arc, OnceLock},
 };
 
-use ort::environment::Environment;
+use ort::{environment::Environment, logging::LogLevel};
 
 use super::ModelError;
 
@@ -32,8 +32,19 @@ fn load() -> Result<Environment, String> {
         .map_err(|e| e.to_string())?
         .with_name("bailando")
         .with_telemetry(false)
+        .with_logger(Arc::new(log))
         .build()
         .map_err(|e| e.to_string())
+}
+
+/// ONNX Runtime's own messages go where ours go. What it calls an error comes back to the caller
+/// as one, so here it is detail.
+fn log(level: LogLevel, _category: &str, _id: &str, _place: &str, message: &str) {
+    match level {
+        LogLevel::Fatal => tracing::error!(target: "onnxruntime", message),
+        LogLevel::Error | LogLevel::Warning => tracing::debug!(target: "onnxruntime", message),
+        LogLevel::Info | LogLevel::Verbose => tracing::trace!(target: "onnxruntime", message),
+    }
 }
 
 /// The library to load: the variable, else beside the executable, else the project's folder (of

@@ -1,6 +1,6 @@
 //! One ONNX session, and a run that a cancel token can interrupt.
 
-use std::{path::Path, sync::Arc};
+use std::{fmt, path::Path, sync::Arc};
 
 use ndarray::{Array2, ArrayView, Axis, Dimension, Ix3};
 use ort::{
@@ -42,7 +42,7 @@ impl Graph {
         };
         let session = build().map_err(|e| ModelError::Graph {
             path: path.to_path_buf(),
-            problem: e.to_string(),
+            problem: one_line(&e),
         })?;
         Ok(Self { name, session })
     }
@@ -79,7 +79,7 @@ impl Graph {
         let graph = self.name;
         let failed = |e: ort::Error| ModelError::Run {
             graph,
-            problem: e.to_string(),
+            problem: one_line(&e),
         };
         let options = Arc::new(RunOptions::new().map_err(failed)?);
         let guard = cancel.interruptible({
@@ -125,7 +125,7 @@ pub(super) fn tensor<T: ort::value::PrimitiveTensorElementType + std::fmt::Debug
 ) -> Result<DynValue, ModelError> {
     result.map(Tensor::into_dyn).map_err(|e| ModelError::Run {
         graph,
-        problem: e.to_string(),
+        problem: one_line(&e),
     })
 }
 
@@ -152,14 +152,23 @@ pub(super) fn take_matrix(
     let wrong = |problem: String| ModelError::Run { graph, problem };
     let array = value
         .try_extract_array::<f32>()
-        .map_err(|e| wrong(e.to_string()))?;
+        .map_err(|e| wrong(one_line(&e)))?;
     let array = array
         .into_dimensionality::<Ix3>()
-        .map_err(|e| wrong(e.to_string()))?;
+        .map_err(|e| wrong(one_line(&e)))?;
     let (batch, found, _) = array.dim();
     if batch != 1 || found != rows {
         let problem = format!("{name} has shape {:?}, expected {rows} rows", array.dim());
         return Err(wrong(problem));
     }
     Ok(array.index_axis(Axis(0), 0).to_owned())
+}
+
+/// ONNX Runtime's reasons run over several lines; ours are one.
+pub(super) fn one_line(error: &impl fmt::Display) -> String {
+    error
+        .to_string()
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ")
 }

@@ -6,7 +6,7 @@ use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use super::{
     Manifest, ModelError,
-    session::{Graph, floats, integers, take, take_matrix},
+    session::{Graph, floats, integers, one_line, take, take_matrix},
 };
 use crate::CancelToken;
 
@@ -134,10 +134,10 @@ impl Encoder {
                 };
                 let (_, codes) = value
                     .try_extract_tensor::<i64>()
-                    .map_err(|e| wrong(e.to_string()))?;
+                    .map_err(|e| wrong(one_line(&e)))?;
                 codes
                     .iter()
-                    .map(|&code| u32::try_from(code).map_err(|e| wrong(e.to_string())))
+                    .map(|&code| u32::try_from(code).map_err(|e| wrong(one_line(&e))))
                     .collect()
             };
             Ok((codes("upper")?, codes("lower")?))

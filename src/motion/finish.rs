@@ -4,7 +4,7 @@ use ndarray::ArrayView2;
 
 use super::{
     Animation, InverseKinematics, MotionError, Positions, Skeleton, floor_correction, forward,
-    integrate_root, lower_foot_heights, resample,
+    integrate_root, leg::Legs, lower_foot_heights, resample,
 };
 
 /// What a motion is finished to.
@@ -42,8 +42,8 @@ pub enum PositionsSource {
 pub struct Finished {
     /// Rotations and root on the rest skeleton, at the wanted frame rate.
     pub animation: Animation,
-    /// Joint positions `[frames, joints, 3]`, metres. The decoder's own stand on the floor by their
-    /// own feet, so that their root may lie some centimetres above or below the animation's.
+    /// Joint positions `[frames, joints, 3]`, metres. The decoder's own have bones that stretch; the
+    /// animation's feet follow theirs, and its root is within centimetres of theirs.
     pub positions: Positions,
     /// Where the positions come from.
     pub source: PositionsSource,
@@ -51,7 +51,8 @@ pub struct Finished {
 
 /// Finishes a decoder's output `[frames, 3 * joints]` (root velocity in columns 0..3, other joints
 /// relative to the root, metres): the root starts at the skeleton's `root_height`, slow vertical
-/// drift is removed, rotations are found, and the frame rate is changed where another is wanted.
+/// drift is removed, rotations are found, legs are bent to the decoder's feet, and the frame rate is
+/// changed where another is wanted.
 ///
 /// # Errors
 /// [`MotionError::FrameRate`] for a rate that is not offered, [`MotionError::Shape`] if the columns
@@ -63,7 +64,9 @@ pub fn finish(
 ) -> Result<Finished, MotionError> {
     let solver = InverseKinematics::new(skeleton)?;
     let decoded = integrate_root(decoded, [0.0, skeleton.root_height, 0.0])?;
-    let mut animation = resample(&solver.solve(&decoded, options.decoded_fps)?, options.fps)?;
+    let mut solved = solver.solve(&decoded, options.decoded_fps)?;
+    Legs::new(skeleton).follow(&mut solved, &decoded);
+    let mut animation = resample(&solved, options.fps)?;
     if !options.root_motion {
         stay(&mut animation);
     }
@@ -88,8 +91,8 @@ fn stay(animation: &mut Animation) {
     }
 }
 
-/// Stands the skeleton on the floor by its own feet: a decoder's legs stretch and shrink by up to
-/// a tenth, so that the floor under its joints is not the floor under the skeleton's.
+/// Stands the skeleton on the floor by its own feet. They are where the decoder's are, but for legs
+/// that cannot reach, so this is the decoder's correction to within millimetres.
 fn lift_animation(animation: &mut Animation, skeleton: &Skeleton) -> Result<(), MotionError> {
     let heights = lower_foot_heights(&forward(skeleton, animation)?, skeleton);
     let lift = floor_correction(&heights, animation.fps);

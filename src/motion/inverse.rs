@@ -9,10 +9,10 @@ use super::{
 };
 
 /// Bones shorter than this, in metres, have no direction.
-const SHORTEST_BONE: f64 = 1e-6;
+pub(super) const SHORTEST_BONE: f64 = 1e-6;
 /// Fastest change of a bone's twist beyond what its direction carries along, radians a second.
 /// Dancers' limbs stay far below it; only the neighbourhood of a half turn from rest reaches it.
-const TWIST_RATE: f64 = 30.0;
+pub(super) const TWIST_RATE: f64 = 30.0;
 
 /// Finds the rotations that put a rest skeleton on given joint positions.
 ///

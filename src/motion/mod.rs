@@ -9,11 +9,14 @@ mod fit;
 mod floor;
 mod forward;
 mod inverse;
+mod leg;
 mod resample;
 mod root;
 mod skeleton;
+mod smooth;
 #[cfg(test)]
 mod tests;
+mod two_bones;
 
 pub use error::MotionError;
 pub use finish::{FinishOptions, Finished, PositionsSource, finish};

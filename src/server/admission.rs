@@ -133,8 +133,10 @@ pub(crate) struct Permit {
     _slot: OwnedSemaphorePermit,
 }
 
-impl Drop for Permit {
-    fn drop(&mut self) {
+impl Permit {
+    /// Gives the permit back after a dance. Only those are remembered: a refusal after a millisecond
+    /// says nothing about how long the line takes.
+    pub(crate) fn danced(self) {
         self.admission.remember(self.since.elapsed());
     }
 }
@@ -188,6 +190,18 @@ mod tests {
         assert_eq!(admission.waiting.load(Ordering::SeqCst), 1);
         drop(waiting);
         assert_eq!(admission.waiting.load(Ordering::SeqCst), 0);
+    }
+
+    #[tokio::test]
+    async fn only_dances_tell_how_long_the_line_takes() {
+        let admission = admission(1, 1);
+        for _ in 0..REMEMBERED {
+            drop(admission.admit().await.unwrap());
+        }
+        assert_eq!(admission.median_service_time(), FIRST_GUESS);
+        admission.admit().await.unwrap().danced();
+        assert_eq!(admission.served.lock().unwrap().len(), 1);
+        assert_eq!(admission.slots.available_permits(), 1);
     }
 
     #[test]

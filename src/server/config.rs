@@ -1,7 +1,7 @@
 //! Settings of the server: one flag each, the same as an environment variable; flag beats
 //! environment beats default.
 
-use std::{fmt, num::NonZeroUsize, path::PathBuf, str::FromStr, time::Duration};
+use std::{cmp::Ordering, fmt, num::NonZeroUsize, path::PathBuf, str::FromStr, time::Duration};
 
 use clap::builder::FalseyValueParser;
 use serde::{Serialize, Serializer};
@@ -100,21 +100,24 @@ pub struct Limits {
     #[arg(
         long,
         env = "BAILANDO_MIN_AUDIO_SECONDS",
-        default_value_t = Limits::default().min_audio_seconds
+        default_value_t = Limits::default().min_audio_seconds,
+        value_parser = zero_or_more
     )]
     pub min_audio_seconds: f64,
     /// Longest audio in seconds, counted while decoding
     #[arg(
         long,
         env = "BAILANDO_MAX_AUDIO_SECONDS",
-        default_value_t = Limits::default().max_audio_seconds
+        default_value_t = Limits::default().max_audio_seconds,
+        value_parser = above_zero
     )]
     pub max_audio_seconds: f64,
     /// Lowest sample rate of an upload in Hz
     #[arg(
         long,
         env = "BAILANDO_MIN_SAMPLE_RATE",
-        default_value_t = Limits::default().min_sample_rate
+        default_value_t = Limits::default().min_sample_rate,
+        value_parser = clap::value_parser!(u32).range(1..)
     )]
     #[serde(rename = "min_sample_rate_hz")]
     pub min_sample_rate: u32,
@@ -122,12 +125,18 @@ pub struct Limits {
     #[arg(
         long,
         env = "BAILANDO_MAX_SAMPLE_RATE",
-        default_value_t = Limits::default().max_sample_rate
+        default_value_t = Limits::default().max_sample_rate,
+        value_parser = clap::value_parser!(u32).range(1..)
     )]
     #[serde(rename = "max_sample_rate_hz")]
     pub max_sample_rate: u32,
     /// Most channels of an upload
-    #[arg(long, env = "BAILANDO_MAX_CHANNELS", default_value_t = Limits::default().max_channels)]
+    #[arg(
+        long,
+        env = "BAILANDO_MAX_CHANNELS",
+        default_value_t = Limits::default().max_channels,
+        value_parser = at_least_one
+    )]
     pub max_channels: usize,
     /// Longest time in seconds that decoding one upload may take
     #[arg(
@@ -198,7 +207,46 @@ impl Default for Limits {
     }
 }
 
+/// Limits that contradict each other.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LimitsError {
+    /// No audio is long enough and short enough, or a bound is not a number.
+    #[error("--min-audio-seconds {min} must not be above --max-audio-seconds {max}")]
+    AudioSeconds {
+        /// Shortest audio.
+        min: f64,
+        /// Longest audio.
+        max: f64,
+    },
+    /// No sample rate is high enough and low enough.
+    #[error("--min-sample-rate {min} must not be above --max-sample-rate {max}")]
+    SampleRate {
+        /// Lowest rate in Hz.
+        min: u32,
+        /// Highest rate in Hz.
+        max: u32,
+    },
+}
+
 impl Limits {
+    /// Checks that the bounds of every range are in order.
+    ///
+    /// # Errors
+    /// [`LimitsError`] names the first two that are not.
+    pub fn check(&self) -> Result<(), LimitsError> {
+        let (min, max) = (self.min_audio_seconds, self.max_audio_seconds);
+        // A bound that is not a number is in no order.
+        if min.partial_cmp(&max).is_none_or(Ordering::is_gt) {
+            return Err(LimitsError::AudioSeconds { min, max });
+        }
+        let (min, max) = (self.min_sample_rate, self.max_sample_rate);
+        if min > max {
+            return Err(LimitsError::SampleRate { min, max });
+        }
+        Ok(())
+    }
+
     /// The part of the limits that the decoder enforces.
     #[must_use]
     pub fn audio(&self) -> AudioLimits {
@@ -210,6 +258,26 @@ impl Limits {
             max_channels: self.max_channels,
             max_decode_time: self.decode_timeout.0,
         }
+    }
+}
+
+fn above_zero(text: &str) -> Result<f64, String> {
+    number(text, |value| value > 0.0).ok_or_else(|| "give a number above 0".to_owned())
+}
+
+fn zero_or_more(text: &str) -> Result<f64, String> {
+    number(text, |value| value >= 0.0).ok_or_else(|| "give a number, 0 or more".to_owned())
+}
+
+fn number(text: &str, fits: impl FnOnce(f64) -> bool) -> Option<f64> {
+    let value = text.trim().parse::<f64>().ok()?;
+    (value.is_finite() && fits(value)).then_some(value)
+}
+
+fn at_least_one(text: &str) -> Result<usize, String> {
+    match text.trim().parse() {
+        Ok(count) if count > 0 => Ok(count),
+        _ => Err("give a whole number above 0".to_owned()),
     }
 }
 
@@ -355,6 +423,57 @@ mod tests {
         for text in ["", "0", "-1", "NaN", "inf", "1e300", "soon"] {
             assert!(text.parse::<Seconds>().is_err(), "{text:?}");
         }
+    }
+
+    #[test]
+    fn limits_that_mean_nothing_are_refused() {
+        for (flag, values) in [
+            (
+                "--max-audio-seconds",
+                &["nan", "-5", "0", "inf", "long"][..],
+            ),
+            ("--min-audio-seconds", &["nan", "-0.1", "-inf"]),
+            ("--min-sample-rate", &["0", "-1", "4294967296"]),
+            ("--max-sample-rate", &["0"]),
+            ("--max-channels", &["0", "-1"]),
+        ] {
+            for value in values {
+                let given = format!("{flag}={value}");
+                assert!(
+                    Command::try_parse_from(["serve", &given]).is_err(),
+                    "{given}"
+                );
+            }
+        }
+        assert!(Command::try_parse_from(["serve", "--min-audio-seconds=0"]).is_ok());
+    }
+
+    #[test]
+    fn the_bounds_of_a_range_are_in_order() {
+        assert_eq!(Limits::default().check(), Ok(()));
+        let limits = Limits {
+            min_audio_seconds: 10.0,
+            max_audio_seconds: 5.0,
+            ..Limits::default()
+        };
+        assert_eq!(
+            limits.check().unwrap_err().to_string(),
+            "--min-audio-seconds 10 must not be above --max-audio-seconds 5"
+        );
+        let limits = Limits {
+            max_audio_seconds: f64::NAN,
+            ..Limits::default()
+        };
+        assert!(limits.check().is_err());
+        let limits = Limits {
+            min_sample_rate: 48_000,
+            max_sample_rate: 44_100,
+            ..Limits::default()
+        };
+        assert!(matches!(
+            limits.check(),
+            Err(LimitsError::SampleRate { .. })
+        ));
     }
 
     #[test]

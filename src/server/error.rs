@@ -62,6 +62,10 @@ pub(crate) enum ServerError {
     QueueFull { queue: usize, retry_after: Seconds },
     #[error("the server is shutting down: try again in {} s", retry_after.retry_after())]
     Draining { retry_after: Seconds },
+    #[error("the model is being loaded: try again in {} s", retry_after.retry_after())]
+    Loading { retry_after: Seconds },
+    #[error("the model has stopped: the server must be started again")]
+    ModelStopped,
     #[error("there was no result within {limit} s: try again in {} s, or send a shorter part", retry_after.retry_after())]
     Timeout {
         limit: Seconds,
@@ -104,6 +108,8 @@ impl ServerError {
             }
             Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full"),
             Self::Draining { .. } => (StatusCode::SERVICE_UNAVAILABLE, "draining"),
+            Self::Loading { .. } => (StatusCode::SERVICE_UNAVAILABLE, "loading"),
+            Self::ModelStopped => (StatusCode::SERVICE_UNAVAILABLE, "model_stopped"),
             Self::Timeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "timeout"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
             Self::Dance(error) => classify_dance(error),
@@ -114,7 +120,10 @@ impl ServerError {
         match self {
             Self::QueueFull { retry_after, .. }
             | Self::Draining { retry_after }
+            | Self::Loading { retry_after }
             | Self::Timeout { retry_after, .. } => Some(*retry_after),
+            // Whoever restarts a server that is not ready needs about that long.
+            Self::ModelStopped => Some(Seconds::new(30)),
             // The model's own queue is as long as there are permits, so this is next to impossible;
             // its places are given back at the pace of one step of the model.
             Self::Dance(Error::Engine(EngineError::QueueFull { .. })) => Some(Seconds::new(1)),

@@ -5,13 +5,11 @@ use utoipa::ToSchema;
 
 use super::{config::Limits, state::Generate};
 use crate::{
+    audio::Container,
     format::OutputFormat,
     model::{Manifest, WindowKind},
     motion::FRAME_RATES,
 };
-
-/// Containers that the decoder accepts, told from their bytes.
-const AUDIO: [&str; 5] = ["wav", "flac", "mp3", "ogg/vorbis", "m4a/aac"];
 
 /// Answer of `GET /info`.
 #[derive(Clone, Debug, Serialize, ToSchema)]
@@ -25,7 +23,8 @@ pub(crate) struct Info {
     /// Formats of a dance, the default first.
     formats: [FormatInfo; 2],
     /// Audio that is accepted.
-    audio: [&'static str; 5],
+    #[schema(example = json!(["wav", "flac"]))]
+    audio: Vec<&'static str>,
     limits: Limits,
 }
 
@@ -99,7 +98,7 @@ impl Info {
                 name: format.name(),
                 content_type: format.content_type(),
             }),
-            audio: AUDIO,
+            audio: Container::ALL.map(Container::name).to_vec(),
             limits: limits.clone(),
         }
     }

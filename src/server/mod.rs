@@ -15,13 +15,16 @@ mod media;
 mod negotiate;
 mod openapi;
 mod options;
+mod outgoing;
 mod router;
 mod routes;
 mod serve;
 mod state;
+mod stop;
 mod upload;
+mod warnings;
 
-pub use config::{ByteSize, Limits, Seconds, ServerConfig};
+pub use config::{ByteSize, Limits, LimitsError, Seconds, ServerConfig};
 pub use error::ErrorBody;
 pub use logging::init_logging;
 pub use openapi::openapi_json;

@@ -1,28 +1,55 @@
-//! Listening, and stopping in good order.
+//! Starting, listening, and stopping in good order.
 
-use std::{future::Future, sync::Arc, time::Duration};
+use std::{future::Future, io, pin::pin, sync::Arc, time::Duration};
 
-use anyhow::Context;
+use futures_util::{Stream, StreamExt, stream};
 use tokio::net::TcpListener;
 
 use super::{
-    config::{Seconds, ServerConfig},
+    config::{LimitsError, Seconds, ServerConfig},
     router::router_with,
     state::{Generate, ServerState},
+    stop::Signals,
 };
-use crate::engine::Choreographer;
+use crate::engine::{Choreographer, EngineConfig};
 
 /// How long requests have to answer once they were told to give up.
 const LAST_WORDS: Duration = Duration::from_secs(1);
+/// How long connections have to close once no request is under way: one that sent half a request's
+/// head would otherwise hold the server for as long as it likes.
+const CONNECTION_GRACE: Duration = Duration::from_secs(1);
 
-/// Why serving ended other than in good order.
+/// Why the server did not start, or ended other than in good order.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
+    /// Two limits contradict each other.
+    #[error(transparent)]
+    Limits(#[from] LimitsError),
+    /// The operating system gives no threads or no timers.
+    #[error("the async runtime cannot be started")]
+    Runtime(#[source] io::Error),
+    /// Nobody could stop the server in good order.
+    #[error("Ctrl-C and SIGTERM cannot be listened for")]
+    Signals(#[source] io::Error),
+    /// The address is taken, or not one of this machine.
+    #[error("cannot listen on {address}")]
+    Bind {
+        /// Host and port.
+        address: String,
+        /// What the operating system says.
+        source: io::Error,
+    },
+    /// The model directory or ONNX Runtime failed.
+    #[error(transparent)]
+    Model(#[from] crate::Error),
+    /// A defect of ours while the model was loaded.
+    #[error("loading the model failed unexpectedly")]
+    Load(#[source] tokio::task::JoinError),
     /// The listener failed.
-    #[error("listening failed: {0}")]
-    Listen(#[from] std::io::Error),
-    /// Requests were cut off.
+    #[error("listening failed")]
+    Listen(#[source] io::Error),
+    /// Requests were cut off when their time was over.
     #[error(
         "{lost} requests were cut off: they had not ended {timeout} s after the server was told to stop"
     )]
@@ -32,104 +59,120 @@ pub enum ServeError {
         /// The time they had.
         timeout: Seconds,
     },
+    /// Requests were cut off because the server was told twice to stop.
+    #[error("{lost} requests were cut off: the server was told twice to stop")]
+    Hurried {
+        /// Requests that were under way.
+        lost: usize,
+    },
 }
 
-/// Serves on `listener` until `shutdown` completes and the requests under way have ended.
+/// Serves on `listener` until `stop` tells to stop and the requests under way have ended.
 ///
-/// From `shutdown` on, `/ready` and new generations are answered 503. The listener stays open while
-/// requests are under way, so that probes see that; then it closes.
+/// Until `load` has completed, `/health` is answered 200, and `/ready`, `/info` and generations 503.
+/// From the first item of `stop` on, `/ready` and new generations are answered 503. The listener
+/// stays open while requests are under way, so that probes see that; then it closes. A second item
+/// ends everything at once.
 ///
 /// # Errors
-/// [`ServeError::DrainTimeout`] when requests had to be cut off.
+/// What `load` fails with; [`ServeError::DrainTimeout`] or [`ServeError::Hurried`] when requests had
+/// to be cut off.
 pub async fn run(
     config: &ServerConfig,
-    engine: Arc<dyn Generate>,
+    load: impl Future<Output = Result<Arc<dyn Generate>, ServeError>>,
     listener: TcpListener,
-    shutdown: impl Future<Output = ()> + Send + 'static,
+    stop: impl Stream<Item = ()>,
 ) -> Result<(), ServeError> {
+    let address = listener.local_addr().map_err(ServeError::Listen)?;
     let timeout = config.limits.shutdown_timeout;
-    let state = ServerState::new(engine, config.limits.clone());
-    let stop = {
+    let state = ServerState::loading(config.limits.clone());
+    let lifecycle = &state.lifecycle;
+    // A stream that ends tells nothing more.
+    let mut stop = pin!(stop.chain(stream::pending()));
+    let idle = {
         let state = Arc::clone(&state);
         async move {
-            shutdown.await;
-            tracing::info!(under_way = state.lifecycle.under_way(), "shutting down");
-            state.lifecycle.drain();
+            state.lifecycle.draining().await;
             state.lifecycle.idle().await;
         }
     };
     let server = axum::serve(listener, router_with(Arc::clone(&state)))
-        .with_graceful_shutdown(stop)
+        .with_graceful_shutdown(idle)
         .into_future();
-    let deadline = async {
-        state.lifecycle.draining().await;
-        tokio::time::sleep(timeout.0).await;
+    let mut server = pin!(server);
+    let load_and_go_on = async {
+        let engine = load.await?;
+        tracing::info!(%address, model = engine.manifest().name, "listening");
+        state.finish_loading(engine);
+        std::future::pending::<Result<(), ServeError>>().await
     };
-    tokio::pin!(server);
     tokio::select! {
-        ended = &mut server => return Ok(ended?),
-        () = deadline => {}
+        ended = &mut server => return ended.map_err(ServeError::Listen),
+        failed = load_and_go_on => return failed,
+        _ = stop.next() => {}
     }
-    let lost = state.lifecycle.under_way();
-    state.lifecycle.abort();
+    tracing::info!(under_way = lifecycle.under_way(), "shutting down");
+    lifecycle.drain();
+    let closed = async {
+        lifecycle.idle().await;
+        tokio::time::sleep(CONNECTION_GRACE).await;
+    };
+    let why = tokio::select! {
+        ended = &mut server => return ended.map_err(ServeError::Listen),
+        () = closed => return Ok(()),
+        () = tokio::time::sleep(timeout.0) => Why::Timeout,
+        _ = stop.next() => Why::Hurry,
+    };
+    let lost = lifecycle.under_way();
+    if lost == 0 {
+        return Ok(());
+    }
+    lifecycle.abort();
     // Elapsed or not, what could be answered has been.
     let _ = tokio::time::timeout(LAST_WORDS, server).await;
-    Err(ServeError::DrainTimeout { lost, timeout })
+    Err(match why {
+        Why::Timeout => ServeError::DrainTimeout { lost, timeout },
+        Why::Hurry => ServeError::Hurried { lost },
+    })
 }
 
-/// Loads the model, listens, and serves until the process is told to stop. Blocks.
+/// Why requests are cut off.
+enum Why {
+    Timeout,
+    Hurry,
+}
+
+/// Listens, loads the model, and serves until the process is told to stop. Blocks.
 ///
 /// # Errors
-/// One line saying what is wrong with the address or the model directory; [`ServeError`] later.
-pub fn start(config: &ServerConfig) -> anyhow::Result<()> {
+/// [`ServeError`] says what is wrong with the settings, the address or the model directory, and
+/// whether requests were cut off in the end.
+pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
+    config.limits.check()?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
-        .context("the async runtime cannot be started")?;
+        .map_err(ServeError::Runtime)?;
     let result = runtime.block_on(async {
-        let address = format!("{}:{}", config.host, config.port);
+        // First of all: a process that is told to stop while it starts ends in good order too.
+        let signals = Signals::install().map_err(ServeError::Signals)?;
         let listener = TcpListener::bind((config.host.as_str(), config.port))
             .await
-            .with_context(|| format!("cannot listen on {address}"))?;
-        let engine = Choreographer::open(&config.engine())?;
-        tracing::info!(
-            address = %listener.local_addr()?,
-            model = engine.manifest().name,
-            "listening"
-        );
-        run(config, Arc::new(engine), listener, told_to_stop()).await?;
-        anyhow::Ok(())
+            .map_err(|source| ServeError::Bind {
+                address: format!("{}:{}", config.host, config.port),
+                source,
+            })?;
+        run(config, open(config.engine()), listener, signals.stream()).await
     });
     // Work that was cut off has been cancelled; it is not waited for.
     runtime.shutdown_timeout(LAST_WORDS);
     result
 }
 
-/// Completes on Ctrl-C or SIGTERM.
-async fn told_to_stop() {
-    let interrupt = async {
-        if let Err(error) = tokio::signal::ctrl_c().await {
-            tracing::error!(%error, "Ctrl-C cannot be listened for");
-            std::future::pending::<()>().await;
-        }
-    };
-    #[cfg(unix)]
-    let terminate = async {
-        use tokio::signal::unix::{SignalKind, signal};
-        match signal(SignalKind::terminate()) {
-            Ok(mut terminate) => {
-                terminate.recv().await;
-            }
-            Err(error) => {
-                tracing::error!(%error, "SIGTERM cannot be listened for");
-                std::future::pending::<()>().await;
-            }
-        }
-    };
-    #[cfg(not(unix))]
-    let terminate = std::future::pending::<()>();
-    tokio::select! {
-        () = interrupt => {}
-        () = terminate => {}
-    }
+/// Reading and hashing the model takes long enough to keep it off the async threads.
+async fn open(config: EngineConfig) -> Result<Arc<dyn Generate>, ServeError> {
+    let engine = tokio::task::spawn_blocking(move || Choreographer::open(&config))
+        .await
+        .map_err(ServeError::Load)??;
+    Ok(Arc::new(engine))
 }

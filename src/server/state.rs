@@ -1,10 +1,16 @@
 //! What all handlers share.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use bytes::Bytes;
 
-use super::{admission::Admission, config::Limits, info::Info, lifecycle::Lifecycle};
+use super::{
+    admission::Admission,
+    config::{Limits, Seconds},
+    error::ServerError,
+    info::Info,
+    lifecycle::Lifecycle,
+};
 use crate::{
     CancelToken, Result,
     engine::{Choreographer, EngineError, GenerationOptions},
@@ -20,6 +26,11 @@ pub trait Generate: Send + Sync + 'static {
 
     /// SHA-256 of the loaded manifest, which identifies the whole model.
     fn model_sha256(&self) -> &str;
+
+    /// Whether generations can still succeed: false once the model has stopped for good.
+    fn is_alive(&self) -> bool {
+        true
+    }
 
     /// Checks `options` against the model without any work.
     ///
@@ -48,6 +59,10 @@ impl Generate for Choreographer {
         self.model_sha256()
     }
 
+    fn is_alive(&self) -> bool {
+        self.is_alive()
+    }
+
     fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
         self.check(options)
     }
@@ -62,26 +77,63 @@ impl Generate for Choreographer {
     }
 }
 
+/// When to ask again while the model is loaded: it takes a few seconds.
+const LOADING_RETRY: Seconds = Seconds::new(2);
+
 /// Handle to what all handlers share.
 pub(crate) type SharedState = Arc<ServerState>;
 
 /// What all handlers share.
 pub(crate) struct ServerState {
-    pub(crate) engine: Arc<dyn Generate>,
+    loaded: OnceLock<Loaded>,
     pub(crate) limits: Limits,
     pub(crate) admission: Arc<Admission>,
     pub(crate) lifecycle: Lifecycle,
+}
+
+/// What there is once the model has been loaded.
+pub(crate) struct Loaded {
+    pub(crate) engine: Arc<dyn Generate>,
     pub(crate) info: Info,
 }
 
 impl ServerState {
-    pub(crate) fn new(engine: Arc<dyn Generate>, limits: Limits) -> SharedState {
+    /// Without a model yet.
+    pub(crate) fn loading(limits: Limits) -> SharedState {
         Arc::new(Self {
-            info: Info::new(engine.as_ref(), &limits),
+            loaded: OnceLock::new(),
             admission: Admission::new(&limits),
             lifecycle: Lifecycle::default(),
-            engine,
             limits,
         })
+    }
+
+    pub(crate) fn new(engine: Arc<dyn Generate>, limits: Limits) -> SharedState {
+        let state = Self::loading(limits);
+        state.finish_loading(engine);
+        state
+    }
+
+    /// Takes the model; a second one changes nothing.
+    pub(crate) fn finish_loading(&self, engine: Arc<dyn Generate>) {
+        self.loaded.get_or_init(|| Loaded {
+            info: Info::new(engine.as_ref(), &self.limits),
+            engine,
+        });
+    }
+
+    /// # Errors
+    /// [`ServerError::Loading`] as long as there is no model.
+    pub(crate) fn loaded(&self) -> Result<&Loaded, ServerError> {
+        self.loaded.get().ok_or(ServerError::Loading {
+            retry_after: LOADING_RETRY,
+        })
+    }
+
+    /// The answer to new requests once the server was told to stop.
+    pub(crate) fn draining(&self) -> ServerError {
+        ServerError::Draining {
+            retry_after: self.limits.shutdown_timeout,
+        }
     }
 }

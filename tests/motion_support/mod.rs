@@ -97,7 +97,6 @@ pub(crate) fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> Dance 
             tempo_bpm: 104.0,
             beats_s: vec![0.5, 1.0769],
         }),
-        audio_seconds: decoded.dim().0 as f64 / 60.0,
         timings: Timings {
             inference: Duration::from_micros(12_345),
             ..Timings::default()

@@ -43,6 +43,7 @@ pub(crate) struct Fake {
     pub(crate) ended: Semaphore,
     pub(crate) generations: AtomicUsize,
     pub(crate) saw_cancel: AtomicBool,
+    pub(crate) stopped: AtomicBool,
     pub(crate) heard: Mutex<Vec<Bytes>>,
 }
 
@@ -56,6 +57,7 @@ impl Fake {
             ended: Semaphore::new(0),
             generations: AtomicUsize::new(0),
             saw_cancel: AtomicBool::new(false),
+            stopped: AtomicBool::new(false),
             heard: Mutex::new(Vec::new()),
         })
     }
@@ -108,6 +110,10 @@ impl Generate for Fake {
 
     fn model_sha256(&self) -> &str {
         "0123456789abcdef0123456789abcdef0123456789abcdef0123456789abcdef"
+    }
+
+    fn is_alive(&self) -> bool {
+        !self.stopped.load(Ordering::SeqCst)
     }
 
     fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
@@ -215,7 +221,6 @@ fn dance(options: &GenerationOptions) -> Dance {
             tempo_bpm: 120.0,
             beats_s: vec![0.0, 0.5],
         }),
-        audio_seconds: 2.0 / 60.0,
         timings: Timings {
             queue: Duration::from_micros(100),
             decode: Duration::from_micros(200),

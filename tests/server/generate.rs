@@ -120,6 +120,16 @@ async fn headers_tell_seed_and_times() {
 }
 
 #[tokio::test]
+async fn headers_tell_warnings_in_every_format() {
+    for query in ["format=json", "format=bvh"] {
+        let answer = ask(raw(query, "song")).await;
+        assert_eq!(answer.header("x-warnings"), "a warning", "{query}");
+        let length: usize = answer.header("content-length").parse().unwrap();
+        assert_eq!(length, answer.body.len());
+    }
+}
+
+#[tokio::test]
 async fn a_sane_request_id_is_taken_over() {
     for (sent, taken) in [
         ("my-id_1.2:3/4+5=", true),

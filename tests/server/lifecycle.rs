@@ -1,51 +1,75 @@
 //! Through a socket: starting, draining, stopping, connections that break.
 
 use std::{
+    future::Future,
     io::{Read, Write},
     net::{Shutdown, SocketAddr, TcpStream},
     sync::{Arc, atomic::Ordering},
     time::{Duration, Instant},
 };
 
-use bailando::server::{Limits, Seconds, ServeError, ServerConfig, run};
-use tokio::{net::TcpListener, sync::oneshot, task::JoinHandle};
+use bailando::engine::EngineError;
+use bailando::server::{Generate, Limits, Seconds, ServeError, ServerConfig, run};
+use futures_util::stream;
+use tokio::{
+    net::TcpListener,
+    sync::{mpsc, oneshot},
+    task::JoinHandle,
+};
 
 use crate::{
     client::small_limits,
     fake::{BLOCK, Fake},
 };
 
+/// Far more than is needed, far less than the time for which requests are waited for.
+const LONG: Duration = Duration::from_secs(15);
+
 struct Server {
     address: SocketAddr,
-    stop: Option<oneshot::Sender<()>>,
+    stop: mpsc::UnboundedSender<()>,
     task: JoinHandle<Result<(), ServeError>>,
 }
 
 impl Server {
     async fn start(fake: &Arc<Fake>, limits: Limits) -> Self {
+        let engine = Arc::clone(fake) as Arc<dyn Generate>;
+        Self::loading(async { Ok(engine) }, limits).await
+    }
+
+    async fn loading(
+        load: impl Future<Output = Result<Arc<dyn Generate>, ServeError>> + Send + 'static,
+        limits: Limits,
+    ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
-        let (stop, stopped) = oneshot::channel::<()>();
-        let engine = Arc::clone(fake);
+        let (stop, told) = mpsc::unbounded_channel();
         let task = tokio::spawn(async move {
             let config = ServerConfig {
                 limits,
                 ..ServerConfig::default()
             };
-            let shutdown = async {
-                stopped.await.ok();
-            };
-            run(&config, engine, listener, shutdown).await
+            let told = stream::unfold(told, |mut told| async {
+                told.recv().await.map(|()| ((), told))
+            });
+            run(&config, load, listener, told).await
         });
         Self {
             address,
-            stop: Some(stop),
+            stop,
             task,
         }
     }
 
-    fn stop(&mut self) {
-        self.stop.take().unwrap().send(()).unwrap();
+    fn stop(&self) {
+        self.stop.send(()).unwrap();
+    }
+
+    async fn expect(&self, request: Vec<u8>, status: u16) -> String {
+        let answer = self.exchange(request).await.unwrap();
+        let wanted = format!("HTTP/1.1 {status}");
+        assert!(answer.starts_with(&wanted), "wanted {wanted}: {answer:?}");
+        answer
     }
 
     /// Sends bytes as they are, and reads until the server closes.
@@ -82,7 +106,7 @@ fn post(audio: &[u8]) -> Vec<u8> {
 #[tokio::test(flavor = "multi_thread")]
 async fn draining_ends_what_was_accepted_and_refuses_the_rest() {
     let fake = Fake::new();
-    let mut server = Server::start(&fake, small_limits()).await;
+    let server = Server::start(&fake, small_limits()).await;
     assert!(
         server
             .exchange(get("/ready"))
@@ -113,7 +137,7 @@ async fn draining_ends_what_was_accepted_and_refuses_the_rest() {
 #[tokio::test(flavor = "multi_thread")]
 async fn an_idle_server_stops_at_once() {
     let fake = Fake::new();
-    let mut server = Server::start(&fake, Limits::default()).await;
+    let server = Server::start(&fake, Limits::default()).await;
     assert!(
         server
             .exchange(post(b"song"))
@@ -125,8 +149,72 @@ async fn an_idle_server_stops_at_once() {
     let started = Instant::now();
     server.stop();
     server.task.await.unwrap().unwrap();
-    assert!(started.elapsed() < Duration::from_secs(2));
+    assert!(started.elapsed() < LONG);
     drop(idle);
+}
+
+/// Half a request's head is no request: it is neither waited for nor called lost.
+#[tokio::test(flavor = "multi_thread")]
+async fn half_a_head_does_not_hold_the_server() {
+    let server = Server::start(&Fake::new(), Limits::default()).await;
+    let mut half = TcpStream::connect(server.address).unwrap();
+    half.write_all(b"GET /health HTTP/1.1\r\nHost: x\r\n")
+        .unwrap();
+    server.expect(get("/health"), 200).await;
+    let started = Instant::now();
+    server.stop();
+    server.task.await.unwrap().unwrap();
+    assert!(started.elapsed() < LONG);
+    drop(half);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn told_twice_the_server_does_not_wait() {
+    let fake = Fake::new();
+    let server = Server::start(&fake, small_limits()).await;
+    let running = server.exchange(post(BLOCK));
+    fake.wait_started(1).await;
+    let started = Instant::now();
+    server.stop();
+    server.stop();
+    let answer = running.await.unwrap();
+    assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
+    let ended = server.task.await.unwrap();
+    assert!(matches!(ended, Err(ServeError::Hurried { lost: 1 })));
+    assert!(started.elapsed() < LONG);
+    fake.wait_ended(1).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn while_the_model_is_loaded_the_server_lives_and_is_not_ready() {
+    let (done, loaded) = oneshot::channel();
+    let load = async { Ok(loaded.await.unwrap()) };
+    let server = Server::loading(load, Limits::default()).await;
+    server.expect(get("/health"), 200).await;
+    for request in [get("/ready"), get("/info"), post(b"song")] {
+        let answer = server.expect(request, 503).await;
+        assert!(answer.contains("\"loading\""), "{answer}");
+        assert!(answer.contains("retry-after: "), "{answer}");
+    }
+    assert!(done.send(Fake::new() as Arc<dyn Generate>).is_ok());
+    while !server
+        .exchange(get("/ready"))
+        .await
+        .unwrap()
+        .starts_with("HTTP/1.1 200")
+    {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    server.expect(post(b"song"), 200).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_model_that_cannot_be_loaded_ends_the_server() {
+    let problem = bailando::Error::from(EngineError::Stopped);
+    let load = async { Err(ServeError::from(problem)) };
+    let server = Server::loading(load, Limits::default()).await;
+    let ended = server.task.await.unwrap();
+    assert!(matches!(ended, Err(ServeError::Model(_))));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -136,7 +224,7 @@ async fn requests_that_outlive_the_drain_are_told_so() {
         shutdown_timeout: Seconds(Duration::from_millis(200)),
         ..small_limits()
     };
-    let mut server = Server::start(&fake, limits).await;
+    let server = Server::start(&fake, limits).await;
     let running = server.exchange(post(BLOCK));
     fake.wait_started(1).await;
     server.stop();

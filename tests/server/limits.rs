@@ -8,7 +8,7 @@ use std::{
 
 use axum::{
     body::Body,
-    http::{Request, StatusCode},
+    http::{HeaderValue, Request, StatusCode, header},
 };
 use bailando::server::{ByteSize, Limits, Seconds};
 use bytes::Bytes;
@@ -181,7 +181,8 @@ async fn no_body_is_read_without_a_permit() {
 async fn work_that_takes_too_long_is_stopped() {
     let fake = Fake::new();
     let limits = Limits {
-        request_timeout: Seconds(Duration::from_millis(100)),
+        // Short, but long enough for the song that is danced to afterwards.
+        request_timeout: Seconds::new(1),
         ..small_limits()
     };
     let app = app(&fake, &limits);
@@ -207,6 +208,41 @@ async fn a_client_that_leaves_stops_its_work() {
     assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
 }
 
+/// Nothing is waited for and nothing is read where no answer would be accepted.
+#[tokio::test]
+async fn a_wrong_accept_header_costs_no_permit() {
+    let fake = Fake::new();
+    let limits = Limits {
+        queue: 0,
+        ..small_limits()
+    };
+    let app = app(&fake, &limits);
+    let running = tokio::spawn({
+        let app = app.clone();
+        async move { send(&app, raw("", BLOCK)).await }
+    });
+    fake.wait_started(1).await;
+    let ask = async |mut request: Request<Body>| {
+        let picture = HeaderValue::from_static("image/png");
+        request.headers_mut().insert(header::ACCEPT, picture);
+        send(&app, request).await
+    };
+    let endless = Body::from_stream(stream::pending::<Result<Bytes, Infallible>>());
+    ask(raw("", endless))
+        .await
+        .expect_error(406, "not_acceptable");
+    // An explicit format wins over the header, and the form's may still come.
+    let parts: [(&str, &[u8]); 1] = [("file", b"song")];
+    for request in [raw("format=bvh", "song"), form("", &parts)] {
+        ask(request).await.expect_error(429, "queue_full");
+    }
+    fake.release();
+    assert_eq!(running.await.unwrap().status, StatusCode::OK);
+    ask(form("", &parts))
+        .await
+        .expect_error(406, "not_acceptable");
+}
+
 async fn slow(limits: Limits, pieces: usize, every: Duration) -> Answer {
     let body = stream::unfold(0, move |sent| async move {
         if sent == pieces {
@@ -219,23 +255,30 @@ async fn slow(limits: Limits, pieces: usize, every: Duration) -> Answer {
     send(&app, raw("", Body::from_stream(body.boxed()))).await
 }
 
+/// In each case the other clock is set so far that only the one in question can have ended it.
 #[tokio::test]
 async fn slow_bodies_are_dropped() {
-    let limits = Limits {
-        body_idle_timeout: Seconds(Duration::from_millis(200)),
-        body_timeout: Seconds(Duration::from_millis(500)),
+    const FAR: Seconds = Seconds::new(3_600);
+    let soon = Duration::from_millis(300);
+    let idle = Limits {
+        body_idle_timeout: Seconds(soon),
+        body_timeout: FAR,
+        request_timeout: FAR,
         ..Limits::default()
     };
-    let stalled = slow(limits.clone(), 3, Duration::from_millis(1));
-    let dribbling = slow(limits, usize::MAX, Duration::from_millis(20));
-    let started = Instant::now();
+    let total = Limits {
+        body_idle_timeout: FAR,
+        body_timeout: Seconds(soon),
+        ..idle.clone()
+    };
+    let stalled = slow(idle, 3, Duration::from_millis(1));
     let said = stalled.await.expect_error(408, "upload_timeout");
     assert!(
-        said.contains("0.2 s without data and 0.5 s in all"),
+        said.contains("0.3 s without data and 3600 s in all"),
         "{said}"
     );
-    assert!(started.elapsed() < Duration::from_millis(450));
     let started = Instant::now();
+    let dribbling = slow(total, usize::MAX, Duration::from_millis(20));
     dribbling.await.expect_error(408, "upload_timeout");
-    assert!(started.elapsed() >= Duration::from_millis(450));
+    assert!(started.elapsed() >= soon);
 }

@@ -12,6 +12,8 @@ mod fake;
 mod generate;
 mod lifecycle;
 mod limits;
+#[cfg(unix)]
+mod process;
 mod real;
 mod surface;
 #[path = "../audio/writers.rs"]

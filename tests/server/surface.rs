@@ -1,6 +1,6 @@
 //! What the service says about itself.
 
-use std::path::Path;
+use std::{path::Path, sync::atomic::Ordering};
 
 use axum::{
     body::Body,
@@ -95,6 +95,15 @@ async fn probes_answer() {
         assert!(!answer.header("x-request-id").is_empty());
         assert!(answer.header("x-total-time").parse::<f64>().is_ok());
     }
+}
+
+#[tokio::test]
+async fn a_model_that_has_stopped_is_not_ready() {
+    let fake = Fake::new();
+    let app = app(&fake, &Limits::default());
+    fake.stopped.store(true, Ordering::SeqCst);
+    get(&app, "/ready").await.expect_error(503, "model_stopped");
+    assert_eq!(get(&app, "/health").await.status, StatusCode::OK);
 }
 
 #[tokio::test]

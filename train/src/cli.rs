@@ -10,6 +10,10 @@ use bailando::{features::Profile, model::Manifest, model::WeightStorage};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::{
+    data::{
+        OpenOptions,
+        check::{CheckOptions, check},
+    },
     export::Description,
     import::{ImportOptions, import},
     training::{Config, Limits, Load, MotionSet, Outcome, Stage, export, train},
@@ -35,6 +39,7 @@ enum Command {
     Gpt(StageArguments),
     /// Write the model directory of a finished run
     Export(RunArguments),
+    CheckData(CheckArguments),
 }
 
 #[derive(Args, Debug)]
@@ -133,6 +138,41 @@ struct ImportArguments {
     force: bool,
 }
 
+/// Say what is wrong with a folder of training data, before hours are spent on it.
+///
+/// Reads every motion and every song and reports in plain words: missing files, lengths, units
+/// (metres), axes (y up), bone lengths, frame rate (60 a second), jumps, left and right, the floor,
+/// silence, beats, and whether anything of the test split is in the training split. Three layouts
+/// are understood: a folder with index.json, the reference's JSON files, and AIST++ .pkl motions.
+///
+/// Exit code 0: training can start (there may be warnings); 1: something makes the data unusable.
+#[derive(Args, Debug)]
+#[command(after_help = "Examples:
+  bailando-train check-data data/salsa
+  bailando-train check-data aist_plusplus_final --audio all_musics
+  bailando-train check-data data/mine --json > report.json")]
+struct CheckArguments {
+    /// Folder of training data
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+
+    /// Folder of the songs, where they are kept apart from the motions
+    #[arg(long, value_name = "DIR")]
+    audio: Option<PathBuf>,
+
+    /// Decode only N songs, spread evenly [default: all]
+    #[arg(long, value_name = "N")]
+    songs: Option<usize>,
+
+    /// Find the beats of N songs and compare them with the data's own
+    #[arg(long, default_value_t = CheckOptions::default().beats, value_name = "N")]
+    beats: usize,
+
+    /// Print the whole report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum ProfileName {
     #[value(name = "librosa-0.11")]
@@ -183,6 +223,7 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             writeln!(output, "wrote {folder} ({})", manifest.name)?;
             Ok(())
         }
+        Command::CheckData(arguments) => check_data(arguments, output),
     }
 }
 
@@ -211,6 +252,27 @@ fn train_stage(
         Outcome::Paused => writeln!(output, "paused: the same command goes on")?,
     }
     Ok(())
+}
+
+fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let options = CheckOptions {
+        open: OpenOptions {
+            audio: arguments.audio,
+        },
+        songs: arguments.songs,
+        beats: arguments.beats,
+    };
+    let report = check(&arguments.folder, &options)?;
+    if arguments.json {
+        serde_json::to_writer_pretty(&mut *output, &report)?;
+        writeln!(output)?;
+    } else {
+        write!(output, "{report}")?;
+    }
+    if report.is_usable() {
+        return Ok(());
+    }
+    anyhow::bail!("{}: {}", arguments.folder.display(), report.verdict())
 }
 
 impl From<ImportArguments> for ImportOptions {

@@ -2,6 +2,7 @@
 //! section 5), cancellation, and a queue that says when it is full.
 
 #![allow(
+    clippy::expect_used,
     clippy::unwrap_used,
     clippy::print_stdout,
     reason = "helpers of tests: failing loudly is their job"
@@ -247,6 +248,73 @@ fn a_full_queue_is_an_error_not_a_wait() {
     };
     assert_eq!(results.iter().filter(|result| full(result)).count(), 1);
     assert_eq!(results.iter().filter(|result| result.is_ok()).count(), 1);
+}
+
+#[test]
+fn a_request_cancelled_in_the_queue_returns_at_once_and_frees_its_place() {
+    let (folder, _) = imported(|_| {});
+    let choreographer = open(&folder);
+    let gate = Gate::new();
+    let dance = |cancel: &CancelToken, progress: Arc<dyn Progress>| {
+        let (choreographer, cancel) = (choreographer.clone(), cancel.clone());
+        std::thread::spawn(move || {
+            let music = floats(&fixture("music.npy"));
+            choreographer.dance_to_rows(music, &options(WindowKind::Hop), &cancel, progress)
+        })
+    };
+    let running = dance(&CancelToken::new(), gate.clone());
+    gate.reached.wait();
+    // The model is held: only the cancellation can end these, one after another in the one place.
+    for _ in 0..3 {
+        let cancel = CancelToken::new();
+        let waiting = dance(&cancel, Arc::new(()));
+        cancel.cancel();
+        let result = waiting.join().unwrap();
+        assert!(
+            matches!(result, Err(Error::Engine(EngineError::Cancelled))),
+            "{result:?}"
+        );
+    }
+    let last = dance(&CancelToken::new(), Arc::new(()));
+    gate.open.wait();
+    assert!(running.join().unwrap().is_ok());
+    assert!(last.join().unwrap().is_ok());
+    assert!(choreographer.is_alive());
+}
+
+/// A manifest that lies about its graphs, with hashes that fit, is found out at start.
+#[test]
+fn a_manifest_that_does_not_fit_its_graphs_is_refused_at_start() {
+    let (folder, _) = imported(|_| {});
+    let path = folder.path().join("model/manifest.json");
+    let honest: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    let lies = [
+        ("/vocabulary/upper", 32_u64),
+        ("/vocabulary/lower", 8),
+        ("/gpt/heads", 3),
+        ("/gpt/layers", 3),
+        ("/gpt/layers", 1_000_000_000),
+        ("/gpt/block", u64::MAX),
+        ("/gpt/context", 29),
+        ("/gpt/channels", 96),
+        ("/decoder/receptive_codes", 0),
+        ("/decoder/receptive_codes", u64::MAX),
+        ("/decoder/width", 0),
+    ];
+    for (place, value) in lies {
+        let mut manifest = honest.clone();
+        *manifest.pointer_mut(place).unwrap() = value.into();
+        std::fs::write(&path, manifest.to_string()).unwrap();
+        let result = Choreographer::open(&EngineConfig {
+            model_dir: folder.path().join("model"),
+            threads: 1,
+            queue: 1,
+            audio: AudioLimits::default(),
+        });
+        let error = result.expect_err(place).to_string();
+        assert!(!error.contains('\n'), "{place} {value}: {error}");
+        println!("{place} = {value}: {error}");
+    }
 }
 
 #[test]

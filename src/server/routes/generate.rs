@@ -1,6 +1,6 @@
 //! `POST /generate`: audio in, dance out.
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use axum::{
     extract::{Request, State},
@@ -20,8 +20,9 @@ use crate::{
         media::Media,
         negotiate,
         options::{AudioFile, GenerateForm, RequestOptions},
+        outgoing,
         state::{Generate, SharedState},
-        upload,
+        upload, warnings,
     },
 };
 
@@ -54,6 +55,7 @@ use crate::{
                 ("x-decode-time" = f64, description = "Milliseconds of decoding the audio."),
                 ("x-feature-time" = f64, description = "Milliseconds of music features."),
                 ("x-inference-time" = f64, description = "Milliseconds in the model."),
+                ("x-warnings" = String, description = "What the caller should know about the dance, for example that the file ended early. One header for each warning, up to 8, in plain ASCII of up to 200 characters; absent without warnings. The JSON carries the same texts in full as `warnings`."),
                 ("x-request-id" = String, description = "The request's id."),
             )
         ),
@@ -72,7 +74,7 @@ use crate::{
         (status = 500, description = "The server is at fault.", body = ErrorBody),
         (
             status = 503,
-            description = "The server is shutting down, or there was no result in time.",
+            description = "The model is being loaded, the server is shutting down, or there was no result in time.",
             body = ErrorBody,
             headers(("retry-after" = u64, description = "Seconds to wait."))
         ),
@@ -82,56 +84,60 @@ pub(crate) async fn generate(
     State(state): State<SharedState>,
     request: Request,
 ) -> Result<Response, ServerError> {
-    let draining = || ServerError::Draining {
-        retry_after: state.limits.shutdown_timeout,
-    };
     let (parts, body) = request.into_parts();
     let body = IncomingBody::new(body);
-    let _under_way = state.lifecycle.enter().ok_or_else(draining)?;
+    let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
     let limit = state.limits.request_timeout;
-    let answer = tokio::time::timeout(limit.0, answer(&state, parts, body));
-    tokio::select! {
-        answered = answer => answered.map_err(|_| ServerError::Timeout {
+    let rendered = tokio::time::timeout(limit.0, render(&state, parts, body));
+    let rendered = tokio::select! {
+        rendered = rendered => rendered.map_err(|_| ServerError::Timeout {
             limit,
             retry_after: state.admission.retry_after(),
-        })?,
-        () = state.lifecycle.aborted() => Err(draining()),
-    }
+        })??,
+        () = state.lifecycle.aborted() => return Err(state.draining()),
+    };
+    Ok(rendered.respond(under_way))
 }
 
 /// Everything that costs nothing is checked first; then a permit is waited for; only then is the
 /// body read (RELIABILITY, defence 2).
-async fn answer(
+async fn render(
     state: &SharedState,
     parts: axum::http::request::Parts,
     body: IncomingBody,
-) -> Result<Response, ServerError> {
+) -> Result<Rendered, ServerError> {
     let limits = &state.limits;
+    let engine = &state.loaded()?.engine;
     let media = Media::of(&parts.headers)?;
     let options = RequestOptions::from_query(&parts.uri)?;
-    state
-        .engine
-        .check(&options.generation(OutputFormat::Json))?;
+    engine.check(&options.generation(OutputFormat::Json))?;
     upload::check_declared(&body, media, limits)?;
     let accept = parts.headers.clone();
+    // Only a form may still name a format that makes its Accept header irrelevant.
+    let early = match (options.format, media) {
+        (Some(format), _) => Some(format),
+        (None, Media::Raw) => Some(negotiate::from_accept(&accept)?),
+        (None, Media::Form) => None,
+    };
 
     let permit = state.admission.admit().await?;
     let waited = permit.waited;
     let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
     let upload = upload::receive(parts, body, media, options, limits).await?;
-    let format = match upload.options.format {
+    let format = match upload.options.format.or(early) {
         Some(format) => format,
         None => negotiate::from_accept(&accept)?,
     };
     let job = Job {
-        engine: Arc::clone(&state.engine),
+        engine: Arc::clone(engine),
         audio: upload.audio,
         options: upload.options,
         format,
         permit,
     };
-    let result = job.run().await?;
-    Ok(result.respond(format, waited))
+    let mut rendered = job.run().await?;
+    rendered.timings.queue += waited;
+    Ok(rendered)
 }
 
 /// One generation with all it needs; it holds its permit until the work has really ended.
@@ -146,8 +152,10 @@ struct Job {
 /// What is left of a dance once it has been written.
 struct Rendered {
     body: Vec<u8>,
+    format: OutputFormat,
     seed: u64,
     timings: Timings,
+    warnings: Vec<String>,
 }
 
 impl Job {
@@ -159,10 +167,11 @@ impl Job {
         let _stop_when_nobody_waits = cancel.cancel_on_drop();
         let work = move || {
             // Named, so that the closure owns it: dropping the future alone must not free it.
-            let _permit = self.permit;
+            let permit = self.permit;
             let dance = self.engine.generate(self.audio, &generation, &cancel)?;
             let body = self.options.write(&dance, self.format)?;
-            Ok(Rendered::new(&dance, body))
+            permit.danced();
+            Ok(Rendered::new(dance, body, self.format))
         };
         match tokio::task::spawn_blocking(work).await {
             Ok(result) => result,
@@ -175,37 +184,42 @@ impl Job {
 }
 
 impl Rendered {
-    fn new(dance: &Dance, body: Vec<u8>) -> Self {
+    fn new(dance: Dance, body: Vec<u8>, format: OutputFormat) -> Self {
         Self {
             body,
+            format,
             seed: dance.seed,
             timings: dance.timings,
+            warnings: dance.warnings,
         }
     }
 
-    fn respond(self, format: OutputFormat, waited: Duration) -> Response {
+    /// The answer; `under_way` counts it as a request until it has been sent.
+    fn respond(self, under_way: impl Send + 'static) -> Response {
         let timings = self.timings;
         let mut headers = HeaderMap::new();
         headers.insert(
             header::CONTENT_TYPE,
-            HeaderValue::from_static(format.content_type()),
+            HeaderValue::from_static(self.format.content_type()),
         );
+        headers.insert(header::CONTENT_LENGTH, HeaderValue::from(self.body.len()));
         headers.insert(SEED, HeaderValue::from(self.seed));
         for (name, time) in [
-            (QUEUE_TIME, waited + timings.queue),
+            (QUEUE_TIME, timings.queue),
             (DECODE_TIME, timings.decode),
             (FEATURE_TIME, timings.features),
             (INFERENCE_TIME, timings.inference),
         ] {
             headers.insert(name, time_header(time));
         }
-        if format == OutputFormat::Bvh {
+        warnings::append(&mut headers, &self.warnings);
+        if self.format == OutputFormat::Bvh {
             let name = format!("attachment; filename=\"dance-{}.bvh\"", self.seed);
             if let Ok(name) = HeaderValue::try_from(name) {
                 headers.insert(header::CONTENT_DISPOSITION, name);
             }
         }
-        (headers, self.body).into_response()
+        (headers, outgoing::guarded(self.body, under_way)).into_response()
     }
 }
 

@@ -28,7 +28,7 @@ pub(crate) async fn health() -> Json<Status> {
     Json(Status { status: "ok" })
 }
 
-/// Whether requests are taken: the model is loaded and the server is not shutting down.
+/// Whether requests are taken: the model is loaded and runs, and the server is not shutting down.
 #[utoipa::path(
     get,
     path = "/ready",
@@ -37,7 +37,7 @@ pub(crate) async fn health() -> Json<Status> {
         (status = 200, description = "Requests are taken.", body = Status),
         (
             status = 503,
-            description = "The server is shutting down.",
+            description = "The model is being loaded or has stopped, or the server is shutting down.",
             body = ErrorBody,
             headers(("retry-after" = u64, description = "Seconds to wait."))
         ),
@@ -45,9 +45,10 @@ pub(crate) async fn health() -> Json<Status> {
 )]
 pub(crate) async fn ready(State(state): State<SharedState>) -> Result<Json<Status>, ServerError> {
     if state.lifecycle.is_draining() {
-        return Err(ServerError::Draining {
-            retry_after: state.limits.shutdown_timeout,
-        });
+        return Err(state.draining());
+    }
+    if !state.loaded()?.engine.is_alive() {
+        return Err(ServerError::ModelStopped);
     }
     Ok(Json(Status { status: "ready" }))
 }
@@ -57,8 +58,16 @@ pub(crate) async fn ready(State(state): State<SharedState>) -> Result<Json<Statu
     get,
     path = "/info",
     tag = "probes",
-    responses((status = 200, description = "About this service.", body = Info))
+    responses(
+        (status = 200, description = "About this service.", body = Info),
+        (
+            status = 503,
+            description = "The model is being loaded.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+    )
 )]
-pub(crate) async fn info(State(state): State<SharedState>) -> Json<Info> {
-    Json(state.info.clone())
+pub(crate) async fn info(State(state): State<SharedState>) -> Result<Json<Info>, ServerError> {
+    Ok(Json(state.loaded()?.info.clone()))
 }

@@ -86,14 +86,17 @@ pub enum Problem {
     /// The pickle ends too early.
     #[error("the pickle is cut off at byte {0}")]
     Truncated(usize),
-    /// An opcode outside the subset that state dictionaries need.
-    #[error("pickle opcode 0x{opcode:02x} at byte {offset} is not one that a checkpoint needs")]
+    /// An opcode outside the subset that plain data needs.
+    #[error("pickle opcode 0x{opcode:02x} at byte {offset} is not one that plain data needs")]
     Opcode {
         /// The opcode.
         opcode: u8,
         /// Where it is.
         offset: usize,
     },
+    /// Code that the file asks for, beside what NumPy arrays need.
+    #[error("it asks for `{0}`, which an array file has no use for; nothing was run")]
+    Global(String),
     /// The pickle's instructions contradict each other.
     #[error("malformed pickle at byte {offset}: {what}")]
     Pickle {

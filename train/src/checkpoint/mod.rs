@@ -8,7 +8,7 @@
 mod container;
 mod error;
 mod legacy;
-mod pickle;
+pub(crate) mod pickle;
 mod view;
 mod zipped;
 

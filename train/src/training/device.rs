@@ -34,10 +34,7 @@ pub fn train(
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
-    let name = config.run.device.as_str();
-    let (kind, index) = name.split_once(':').unwrap_or((name, "0"));
-    let index: usize = index.parse().map_err(|_| unknown(name, "no such number"))?;
-    match kind {
+    match config.run.device.as_str() {
         "cpu" => on::<Autodiff<burn_flex::Flex>>(
             stage,
             config,
@@ -47,30 +44,10 @@ pub fn train(
             output,
             Default::default(),
         ),
-        #[cfg(feature = "cuda")]
-        "cuda" => {
-            let device = burn_cuda::CudaDevice::new(index);
-            on::<Autodiff<burn_cuda::Cuda>>(stage, config, set, init, limits, output, device)
-        }
-        #[cfg(feature = "wgpu")]
-        "wgpu" => {
-            let device = burn_wgpu::WgpuDevice::DiscreteGpu(index);
-            on::<Autodiff<burn_wgpu::Wgpu>>(stage, config, set, init, limits, output, device)
-        }
-        "cuda" | "wgpu" => {
-            let message = format!(
-                "this program was built without it (number {index}): build with --features {kind}"
-            );
-            Err(unknown(name, &message))
-        }
-        _ => Err(unknown(name, "expected cpu, cuda, cuda:N or wgpu")),
-    }
-}
-
-fn unknown(device: &str, message: &str) -> TrainError {
-    TrainError::Device {
-        device: device.to_owned(),
-        message: message.to_owned(),
+        other => Err(TrainError::Device {
+            device: other.to_owned(),
+            message: "expected cpu, the only device of this version".to_owned(),
+        }),
     }
 }
 

@@ -1,24 +1,40 @@
-//! An interpreter of the pickle opcodes that a state dictionary needs, and of nothing else.
+//! An interpreter of the pickle opcodes that plain data needs, and of nothing else.
 //!
-//! It calls nothing: globals outside a short list become inert objects that swallow whatever is
-//! put into them (official checkpoints carry an `EasyDict` beside the weights, ARCHITECTURE
-//! section 4). Every opcode adds at most one object whose size is bounded by the bytes read, so
-//! memory stays proportional to the pickle.
+//! It calls nothing. Two [`Dialect`]s are understood: checkpoints, where globals outside a short
+//! list become inert objects that swallow whatever is put into them (official checkpoints carry an
+//! `EasyDict` beside the weights, ARCHITECTURE section 4), and dictionaries of NumPy arrays, where
+//! any other global is refused by name. Every opcode adds at most one object whose size is bounded
+//! by the bytes read, so memory stays proportional to the pickle.
 
+mod globals;
+mod numpy;
 mod reader;
 mod rebuild;
+#[cfg(test)]
+mod tests_numpy;
 mod value;
 
+pub(crate) use numpy::NumpyArray;
 pub(crate) use value::{Arena, ElementType, Id, Object, Storage, TensorView};
 
 use std::collections::HashMap;
 
 use super::error::Problem;
+use numpy::Raw;
 use reader::Reader;
 
 /// State dictionaries of the published size have pickles of about 0.1 MB: the pickle grows with
 /// the number of tensors, not with their size.
 pub(crate) const MAX_PICKLE_BYTES: usize = 4 << 20;
+
+/// What a pickle is expected to hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Dialect {
+    /// A PyTorch state dictionary: protocol 2 at most, values in storages outside the pickle.
+    Checkpoint,
+    /// Dictionaries of NumPy arrays and numbers: protocols 2 to 5, values inside the pickle.
+    Arrays,
+}
 
 /// One interpreted pickle.
 #[derive(Debug)]
@@ -29,11 +45,27 @@ pub(crate) struct Pickled {
     pub(crate) consumed: usize,
 }
 
-/// Interprets the pickle that starts at the beginning of `bytes`.
+/// Interprets the pickle of a checkpoint that starts at the beginning of `bytes`.
 pub(crate) fn interpret(bytes: &[u8]) -> Result<Pickled, Problem> {
     let window = bytes.get(..MAX_PICKLE_BYTES).unwrap_or(bytes);
-    let mut machine = Machine::new(window);
+    run(Machine::new(window, Dialect::Checkpoint))
+}
+
+/// Interprets a pickle of NumPy arrays; the caller bounds its size.
+pub(crate) fn interpret_arrays(bytes: &[u8]) -> Result<Pickled, Problem> {
+    run(Machine::new(bytes, Dialect::Arrays))
+}
+
+/// Opcodes in a pickle of arrays; a dozen of them make an array, however large.
+const MAX_ARRAY_OPCODES: usize = 1 << 16;
+
+fn run(mut machine: Machine<'_>) -> Result<Pickled, Problem> {
+    let mut opcodes = 0;
     loop {
+        opcodes += 1;
+        if machine.dialect == Dialect::Arrays && opcodes > MAX_ARRAY_OPCODES {
+            return Err(machine.malformed("it holds far more than a few arrays"));
+        }
         if let Some(root) = machine.step()? {
             return Ok(Pickled {
                 arena: machine.arena,
@@ -45,6 +77,7 @@ pub(crate) fn interpret(bytes: &[u8]) -> Result<Pickled, Problem> {
 }
 
 struct Machine<'a> {
+    dialect: Dialect,
     reader: Reader<'a>,
     arena: Arena,
     stack: Vec<Id>,
@@ -54,8 +87,9 @@ struct Machine<'a> {
 }
 
 impl<'a> Machine<'a> {
-    fn new(bytes: &'a [u8]) -> Self {
+    fn new(bytes: &'a [u8], dialect: Dialect) -> Self {
         Self {
+            dialect,
             reader: Reader::new(bytes),
             arena: Arena::default(),
             stack: Vec::new(),
@@ -79,8 +113,8 @@ impl<'a> Machine<'a> {
             0x89 => self.push(Object::Bool(false)),
             b'K' | b'M' | b'J' | 0x8a => self.integer(opcode)?,
             b'G' => {
-                self.reader.take(8)?;
-                self.push(Object::Scalar);
+                let value = f64::from_be_bytes(self.reader.array()?);
+                self.push(Object::Float(value));
             }
             b'X' => {
                 let text = self.reader.text()?;
@@ -113,16 +147,59 @@ impl<'a> Machine<'a> {
             }
             b'q' | b'r' | b'h' | b'j' => self.memory(opcode)?,
             b'c' => {
-                let class = self.reader.global()?;
-                self.push(class);
+                let (module, name) = self.reader.global()?;
+                self.global(module, name)?;
             }
-            b'Q' => self.persistent()?,
+            b'Q' if self.dialect == Dialect::Checkpoint => self.persistent()?,
             b'R' => self.reduce()?,
             0x81 => self.instantiate()?,
             b'b' => self.build()?,
+            _ if self.dialect == Dialect::Arrays => self.later_opcode(opcode, offset)?,
             _ => return Err(Problem::Opcode { opcode, offset }),
         }
         Ok(None)
+    }
+
+    /// Opcodes of the protocols 3 to 5.
+    fn later_opcode(&mut self, opcode: u8, offset: usize) -> Result<(), Problem> {
+        match opcode {
+            // A frame says how many bytes to read at once: all are here already.
+            0x95 => drop(self.reader.take(8)?),
+            0x8c | 0x8d => {
+                let text = self.reader.text_of(opcode)?;
+                self.push(Object::Text(text));
+            }
+            b'C' | b'B' | 0x8e | 0x96 => {
+                let bytes = self.reader.bytes_of(opcode)?;
+                self.push(Object::Raw(Raw::Bytes(bytes.into())));
+            }
+            0x94 => {
+                let id = self.top()?;
+                let key = u32::try_from(self.memo.len());
+                let key = key.map_err(|_| self.malformed("it memorises too much"))?;
+                self.memo.insert(key, id);
+            }
+            0x93 => {
+                let (name, module) = (self.pop()?, self.pop()?);
+                let text = |id| self.arena.text(id).cloned();
+                let (Some(module), Some(name)) = (text(module), text(name)) else {
+                    return Err(self.malformed("a global's name is no text"));
+                };
+                self.global(module.as_bytes(), name.as_bytes())?;
+            }
+            _ => return Err(Problem::Opcode { opcode, offset }),
+        }
+        Ok(())
+    }
+
+    /// Pushes what stands for a global; nothing is imported.
+    fn global(&mut self, module: &[u8], name: &[u8]) -> Result<(), Problem> {
+        let object = match self.dialect {
+            Dialect::Checkpoint => globals::of_checkpoint(module, name),
+            Dialect::Arrays => globals::of_arrays(module, name)?,
+        };
+        self.push(object);
+        Ok(())
     }
 
     fn malformed(&self, what: &'static str) -> Problem {
@@ -158,9 +235,12 @@ impl<'a> Machine<'a> {
     }
 
     fn protocol(&mut self) -> Result<(), Problem> {
-        match self.reader.byte()? {
-            0..=2 => Ok(()),
-            _ => Err(self.malformed("only pickle protocols up to 2 are read, PyTorch's default")),
+        match (self.reader.byte()?, self.dialect) {
+            (0..=2, _) | (3..=5, Dialect::Arrays) => Ok(()),
+            (_, Dialect::Arrays) => Err(self.malformed("only pickle protocols up to 5 are read")),
+            (_, Dialect::Checkpoint) => {
+                Err(self.malformed("only pickle protocols up to 2 are read, PyTorch's default"))
+            }
         }
     }
 
@@ -241,16 +321,21 @@ impl<'a> Machine<'a> {
     fn reduce(&mut self) -> Result<(), Problem> {
         let arguments = self.pop()?;
         let callable = self.pop()?;
-        let object = match self.arena.get(callable) {
-            Some(Object::OrderedDictClass) => Object::Dict(Vec::new()),
-            Some(Object::RebuildTensor) => rebuild::tensor(&self.arena, arguments)
-                .map(Object::Tensor)
-                .map_err(|what| self.malformed(what))?,
-            Some(Object::RebuildParameter) => {
-                rebuild::parameter(&self.arena, arguments).map_err(|what| self.malformed(what))?
-            }
-            _ => Object::Opaque,
-        };
+        let object =
+            match self.arena.get(callable) {
+                Some(Object::OrderedDictClass) => Object::Dict(Vec::new()),
+                Some(Object::RebuildTensor) => rebuild::tensor(&self.arena, arguments)
+                    .map(Object::Tensor)
+                    .map_err(|what| self.malformed(what))?,
+                Some(Object::RebuildParameter) => rebuild::parameter(&self.arena, arguments)
+                    .map_err(|what| self.malformed(what))?,
+                Some(&Object::Numpy(name)) => numpy::call(&self.arena, name, arguments)
+                    .map_err(|what| self.malformed(what))?,
+                _ if self.dialect == Dialect::Arrays => {
+                    return Err(self.malformed("it calls something that is no function of NumPy"));
+                }
+                _ => Object::Opaque,
+            };
         self.push(object);
         Ok(())
     }
@@ -260,16 +345,30 @@ impl<'a> Machine<'a> {
         let class = self.pop()?;
         let object = match self.arena.get(class) {
             Some(Object::OrderedDictClass) => Object::Dict(Vec::new()),
+            _ if self.dialect == Dialect::Arrays => {
+                return Err(self.malformed("it makes an object of a class"));
+            }
             _ => Object::Opaque,
         };
         self.push(object);
         Ok(())
     }
 
-    /// BUILD sets attributes (a state dictionary's `_metadata`, an `EasyDict`'s fields): ignored.
+    /// BUILD fills arrays and their types; other attributes (a state dictionary's `_metadata`, an
+    /// `EasyDict`'s fields) are ignored.
     fn build(&mut self) -> Result<(), Problem> {
-        self.pop()?;
-        self.top().map(|_| ())
+        let state = self.pop()?;
+        let target = self.top()?;
+        let filled = match self.arena.get(target) {
+            Some(Object::EmptyArray) => numpy::filled_array(&self.arena, state),
+            Some(&Object::Dtype(dtype)) => numpy::ordered_dtype(&self.arena, dtype, state),
+            _ => return Ok(()),
+        };
+        let filled = filled.map_err(|what| self.malformed(what))?;
+        if let Some(object) = self.arena.get_mut(target) {
+            *object = filled;
+        }
+        Ok(())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{ElementType, Object};
+use super::Object;
 use crate::checkpoint::error::Problem;
 
 /// A cursor that never reads beyond its bytes and allocates no more than it has read.
@@ -47,13 +47,28 @@ impl<'a> Reader<'a> {
 
     /// BINUNICODE's operand.
     pub(super) fn text(&mut self) -> Result<Arc<str>, Problem> {
-        let length = u32::from_le_bytes(self.array()?);
-        let length = usize::try_from(length).map_err(|_| Problem::Truncated(self.offset))?;
-        let bytes = self.take(length)?;
+        self.text_of(b'X')
+    }
+
+    /// The operand of any opcode that carries a text.
+    pub(super) fn text_of(&mut self, opcode: u8) -> Result<Arc<str>, Problem> {
+        let bytes = self.bytes_of(opcode)?;
         match std::str::from_utf8(bytes) {
             Ok(text) => Ok(text.into()),
             Err(_) => Err(self.malformed("a text is not UTF-8")),
         }
+    }
+
+    /// The operand of any opcode that carries bytes behind their number, which is one byte, four or
+    /// eight wide.
+    pub(super) fn bytes_of(&mut self, opcode: u8) -> Result<&'a [u8], Problem> {
+        let length = match opcode {
+            b'C' | 0x8c => u64::from(self.byte()?),
+            b'B' | b'X' => u64::from(u32::from_le_bytes(self.array()?)),
+            _ => u64::from_le_bytes(self.array()?),
+        };
+        let length = usize::try_from(length).map_err(|_| Problem::Truncated(self.offset))?;
+        self.take(length)
     }
 
     /// LONG1's operand: little-endian two's complement of any length.
@@ -72,20 +87,9 @@ impl<'a> Reader<'a> {
         Ok(Object::Int(i64::from_le_bytes(wide)))
     }
 
-    /// GLOBAL's operand, looked up in the list of known names.
-    pub(super) fn global(&mut self) -> Result<Object, Problem> {
-        let module = self.line()?;
-        let name = self.line()?;
-        Ok(match (module, name) {
-            (b"collections", b"OrderedDict") => Object::OrderedDictClass,
-            (b"torch._utils", b"_rebuild_tensor_v2") => Object::RebuildTensor,
-            (b"torch._utils", b"_rebuild_parameter") => Object::RebuildParameter,
-            (b"torch", name) => std::str::from_utf8(name)
-                .ok()
-                .and_then(ElementType::of_class)
-                .map_or(Object::OtherClass, Object::StorageClass),
-            _ => Object::OtherClass,
-        })
+    /// GLOBAL's operand: module and name.
+    pub(super) fn global(&mut self) -> Result<(&'a [u8], &'a [u8]), Problem> {
+        Ok((self.line()?, self.line()?))
     }
 
     fn line(&mut self) -> Result<&'a [u8], Problem> {

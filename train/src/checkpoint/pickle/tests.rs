@@ -62,7 +62,7 @@ fn unknown_classes_are_inert_and_swallow_their_contents() {
 fn opcodes_outside_the_subset_are_refused_by_name() {
     assert_eq!(
         problem(b"\x80\x02ios\nsystem\n."),
-        "pickle opcode 0x69 at byte 2 is not one that a checkpoint needs"
+        "pickle opcode 0x69 at byte 2 is not one that plain data needs"
     );
     assert!(problem(b"\x80\x04.").contains("protocols up to 2"));
 }

@@ -3,6 +3,8 @@
 
 use std::sync::Arc;
 
+use super::numpy::{Dtype, NumpyArray, NumpyName, Raw};
+
 /// Index of an object in the [`Arena`].
 pub(crate) type Id = usize;
 
@@ -90,8 +92,11 @@ pub(crate) enum Object {
     None,
     Bool(bool),
     Int(i64),
-    /// Floats, integers beyond 64 bits and bytes: nothing that a state dictionary refers to.
+    Float(f64),
+    /// Integers beyond 64 bits: nothing that is referred to.
     Scalar,
+    /// Bytes: nothing but an array's values.
+    Raw(Raw),
     Text(Arc<str>),
     Tuple(Vec<Id>),
     List(Vec<Id>),
@@ -106,6 +111,12 @@ pub(crate) enum Object {
     Opaque,
     Storage(Storage),
     Tensor(Box<TensorView>),
+    /// A function or class of NumPy.
+    Numpy(NumpyName),
+    Dtype(Dtype),
+    /// An array that BUILD has not filled yet.
+    EmptyArray,
+    Array(Box<NumpyArray>),
 }
 
 /// Every object that one pickle built.

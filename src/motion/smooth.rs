@@ -1,0 +1,58 @@
+//! A smooth curve above a jagged one.
+
+/// A curve nowhere below `values`, free of jumps, that departs from zero at most `2 * half_width`
+/// samples away from where `values` do: the largest value near each sample, averaged under a
+/// triangle as wide.
+pub(super) fn smooth_upper_bound(values: &[f64], half_width: usize) -> Vec<f64> {
+    if values.iter().all(|&value| value == 0.0) {
+        return values.to_vec();
+    }
+    let near = |values: &[f64], index: usize| {
+        let end = values.len().min(index + half_width + 1);
+        index.saturating_sub(half_width)..end
+    };
+    let highest: Vec<f64> = (0..values.len())
+        .map(|index| {
+            let window = &values[near(values, index)];
+            window.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+        })
+        .collect();
+    (0..values.len())
+        .map(|index| {
+            let range = near(&highest, index);
+            let weighted = range.clone().map(|other| {
+                let weight = (half_width + 1 - other.abs_diff(index)) as f64;
+                (weight, weight * highest[other])
+            });
+            let (weight, sum) = weighted.fold((0.0, 0.0), |(w, s), (a, b)| (w + a, s + b));
+            sum / weight
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_covers_every_peak_and_has_no_jumps() {
+        let mut values = vec![0.0; 200];
+        (values[0], values[60], values[61], values[140]) = (0.02, 0.05, 0.01, 0.03);
+        let curve = smooth_upper_bound(&values, 12);
+        for (index, (curve, value)) in curve.iter().zip(&values).enumerate() {
+            assert!(*curve >= value - 1e-12, "sample {index}");
+        }
+        for pair in curve.windows(2) {
+            assert!((pair[1] - pair[0]).abs() < 0.05 / 12.0);
+        }
+        assert_eq!(curve[100], 0.0);
+        assert!(curve[60] < 0.05 + 1e-12);
+    }
+
+    #[test]
+    fn nothing_comes_of_nothing() {
+        assert!(smooth_upper_bound(&[], 5).is_empty());
+        assert_eq!(smooth_upper_bound(&[0.0; 9], 5), [0.0; 9]);
+        assert_eq!(smooth_upper_bound(&[0.3; 9], 0), [0.3; 9]);
+    }
+}

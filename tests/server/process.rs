@@ -1,0 +1,237 @@
+//! The program itself: how it starts, how it is stopped, what its probe asks.
+
+use std::{
+    fs,
+    io::{Read, Write},
+    net::{TcpListener, TcpStream},
+    path::Path,
+    process::{Child, Command, ExitStatus, Output, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+/// Far more than is needed, far less than the time for which requests are waited for.
+const LONG: Duration = Duration::from_secs(15);
+
+/// Without settings of whoever runs the tests.
+fn bailando(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
+    command
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .args(arguments);
+    for (name, _) in std::env::vars_os() {
+        let upper = name.to_string_lossy().to_uppercase();
+        if upper.starts_with("BAILANDO_") || upper.ends_with("_PROXY") || upper == "RUST_LOG" {
+            command.env_remove(name);
+        }
+    }
+    command
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// A running server; killed if the test fails.
+struct Running(Child);
+
+impl Running {
+    fn terminate(&self) {
+        let pid = self.0.id().to_string();
+        let sent = Command::new("kill").args(["-TERM", &pid]).status();
+        assert!(sent.unwrap().success());
+    }
+
+    fn wait(&mut self) -> ExitStatus {
+        let started = Instant::now();
+        loop {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return status;
+            }
+            assert!(started.elapsed() < LONG, "it does not end");
+            thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn free_port() -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    listener.local_addr().unwrap().port()
+}
+
+fn get(port: u16, path: &str) -> Option<String> {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
+    let request = format!("GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).ok()?;
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).ok()?;
+    Some(answer)
+}
+
+fn get_patiently(port: u16, path: &str) -> String {
+    let started = Instant::now();
+    loop {
+        if let Some(answer) = get(port, path) {
+            return answer;
+        }
+        assert!(started.elapsed() < LONG, "nothing answers");
+        thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// A model with a file that nobody writes: reading it takes forever.
+fn endless_model(folder: &Path) {
+    let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default/manifest.json");
+    let text = fs::read(manifest).unwrap();
+    fs::write(folder.join("manifest.json"), &text).unwrap();
+    let manifest: serde_json::Value = serde_json::from_slice(&text).unwrap();
+    for name in manifest["files"].as_object().unwrap().keys() {
+        let made = Command::new("mkfifo").arg(folder.join(name)).status();
+        assert!(made.unwrap().success());
+    }
+}
+
+#[test]
+fn sigterm_while_the_model_is_loaded_ends_the_process_well() {
+    let folder = tempfile::tempdir().unwrap();
+    endless_model(folder.path());
+    let port = free_port();
+    let child = bailando(&["serve", "--port", &port.to_string(), "--model-dir"])
+        .arg(folder.path())
+        .stderr(Stdio::null())
+        .spawn();
+    let mut server = Running(child.unwrap());
+    let health = get_patiently(port, "/health");
+    assert!(health.starts_with("HTTP/1.1 200"), "{health}");
+    let ready = get(port, "/ready").unwrap();
+    assert!(ready.starts_with("HTTP/1.1 503"), "{ready}");
+    assert!(ready.contains("\"loading\""), "{ready}");
+    let mut half = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    half.write_all(b"GET /health HTTP/1.1\r\nHost: x\r\n")
+        .unwrap();
+    server.terminate();
+    assert_eq!(server.wait().code(), Some(0));
+}
+
+#[test]
+fn a_wrong_model_directory_ends_with_one_line_and_soon() {
+    let started = Instant::now();
+    let output = bailando(&["serve", "--port", "0", "--model-dir", "src"])
+        .output()
+        .unwrap();
+    assert!(started.elapsed() < Duration::from_secs(2));
+    let said = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("src/manifest.json"), "{said}");
+    assert_eq!(said.trim_end().lines().count(), 1, "{said}");
+}
+
+#[test]
+fn an_address_that_is_taken_is_named_with_the_reason() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let output = bailando(&["serve", "--port", &port.to_string()])
+        .output()
+        .unwrap();
+    let said = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains(&format!("cannot listen on 127.0.0.1:{port}: ")),
+        "{said}"
+    );
+    assert_eq!(said.trim_end().lines().count(), 1, "{said}");
+}
+
+#[test]
+fn limits_that_mean_nothing_are_wrong_use() {
+    for (arguments, wanted) in [
+        (&["--max-audio-seconds=nan"][..], "above 0"),
+        (&["--max-audio-seconds=-5"], "above 0"),
+        (
+            &["--min-audio-seconds=9", "--max-audio-seconds=8"],
+            "--min-audio-seconds 9 must not be above",
+        ),
+        (
+            &["--min-sample-rate=9000", "--max-sample-rate=8000"],
+            "--min-sample-rate 9000 must not be above",
+        ),
+    ] {
+        let output = bailando(&["serve", "--port", "0", "--model-dir", "src"])
+            .args(arguments)
+            .output()
+            .unwrap();
+        let said = said(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {said}");
+        assert!(said.contains(wanted), "{said}");
+    }
+}
+
+/// Answers one request with 204, and tells its first line.
+fn answer_once(listener: TcpListener) -> thread::JoinHandle<String> {
+    thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut head = Vec::new();
+        while !head.ends_with(b"\r\n\r\n") {
+            let mut byte = [0];
+            stream.read_exact(&mut byte).unwrap();
+            head.extend(byte);
+        }
+        stream
+            .write_all(b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n")
+            .unwrap();
+        let head = String::from_utf8(head).unwrap();
+        head.lines().next().unwrap().to_owned()
+    })
+}
+
+#[test]
+fn the_probe_asks_where_the_settings_say_and_no_proxy() {
+    type Settings = fn(&mut Command, u16);
+    let cases: [(Settings, &str); 3] = [
+        (
+            |probe, port| {
+                probe
+                    .env("BAILANDO_HOST", "0.0.0.0")
+                    .env("BAILANDO_PORT", port.to_string());
+            },
+            "/health",
+        ),
+        (
+            |probe, port| {
+                probe
+                    .env("BAILANDO_PORT", "1")
+                    .env("BAILANDO_HEALTH_URL", format!("http://127.0.0.1:{port}/a"));
+            },
+            "/a",
+        ),
+        (
+            |probe, port| {
+                probe
+                    .env("BAILANDO_HEALTH_URL", "http://127.0.0.1:1/a")
+                    .args(["--url", &format!("http://127.0.0.1:{port}/b")]);
+            },
+            "/b",
+        ),
+    ];
+    for (settings, path) in cases {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let mut probe = bailando(&["healthcheck", "--timeout", "10"]);
+        for name in ["HTTP_PROXY", "http_proxy", "ALL_PROXY"] {
+            probe.env(name, "http://127.0.0.1:1");
+        }
+        settings(&mut probe, port);
+        let asked = thread::spawn(move || probe.output().unwrap());
+        let line = answer_once(listener);
+        let output = asked.join().unwrap();
+        assert!(output.status.success(), "{path}: {}", said(&output));
+        assert_eq!(line.join().unwrap(), format!("GET {path} HTTP/1.1"));
+    }
+}

@@ -1,0 +1,83 @@
+//! Augmentation as pure functions: mirror and start phase. Tempo variants and several songs for
+//! one dance come as pieces.
+
+use bailando::motion::Positions;
+
+use super::{FRAMES_PER_CODE, JOINTS, Motion};
+
+/// Start phases: cutting 0 to 7 frames moves every code boundary, cutting 8 repeats the first.
+pub const PHASES: usize = FRAMES_PER_CODE;
+
+/// For every SMPL joint the one on the other side; joints of the middle stand for themselves.
+const OTHER_SIDE: [usize; JOINTS] = [
+    0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22,
+];
+
+/// The same dance in a mirror: x is negated, left and right joints change places.
+#[must_use]
+pub fn mirrored(motion: &Motion) -> Motion {
+    let source = motion.positions();
+    let mirrored = Positions::from_shape_fn(source.dim(), |(frame, joint, axis)| {
+        let other = OTHER_SIDE.get(joint).copied().unwrap_or(joint);
+        let value = source.get((frame, other, axis)).copied();
+        let value = value.unwrap_or_default();
+        if axis == 0 { -value } else { value }
+    });
+    Motion::new(mirrored)
+}
+
+/// The joint that takes the place of `joint` in a mirror.
+#[must_use]
+pub fn mirrored_joints() -> [usize; JOINTS] {
+    OTHER_SIDE
+}
+
+/// The dance without its first `phase` frames.
+///
+/// Frame 0 is then `phase / 60` seconds into the song. Music rows come 7.5 times a second, so no
+/// row of the whole song lies beside the new frame 0: the song has to lose the same
+/// `phase / 60` seconds before its rows are computed ([`super::MusicLibrary::conditioning`] does,
+/// 64 samples per frame at 3,840 Hz, an exact number). At 60 rows a second a frame is one row.
+#[must_use]
+pub fn phase_cut(motion: &Motion, phase: usize) -> Motion {
+    motion.part(phase..motion.frames())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{data::testing, export::skeleton};
+
+    #[test]
+    fn sides_change_places_by_name() {
+        let names = skeleton(0.9).joints;
+        for (joint, name) in names.iter().enumerate() {
+            let expected = match name.split_at(2) {
+                ("l_", rest) => format!("r_{rest}"),
+                ("r_", rest) => format!("l_{rest}"),
+                _ => name.clone(),
+            };
+            assert_eq!(names[OTHER_SIDE[joint]], expected);
+        }
+    }
+
+    #[test]
+    fn a_mirror_twice_is_the_dance_itself() {
+        let motion = Motion::new(testing::dance(&skeleton(0.9), 40, 1));
+        let once = mirrored(&motion);
+        assert_ne!(once, motion);
+        assert_eq!(mirrored(&once), motion);
+        let left_hand = motion.positions()[[7, 22, 0]];
+        assert_eq!(once.positions()[[7, 23, 0]], -left_hand);
+        assert_eq!(once.positions()[[7, 23, 1]], motion.positions()[[7, 22, 1]]);
+    }
+
+    #[test]
+    fn a_phase_moves_the_first_frame() {
+        let motion = Motion::new(testing::dance(&skeleton(0.9), 40, 1));
+        let cut = phase_cut(&motion, 3);
+        assert_eq!(cut.frames(), 37);
+        assert_eq!(cut.root_relative().row(0), motion.root_relative().row(3));
+        assert_eq!(phase_cut(&motion, 0), motion);
+    }
+}

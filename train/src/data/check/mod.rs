@@ -1,0 +1,110 @@
+//! `check-data`: what is wrong with a folder of training data, in plain words, before hours are
+//! spent on it.
+
+mod beats;
+mod facts;
+mod findings;
+mod motions;
+mod music;
+mod report;
+mod songs;
+mod splits;
+mod topic;
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    path::Path,
+};
+
+use findings::Findings;
+pub use findings::{Finding, Severity, Topic};
+pub use report::{Report, SplitSummary};
+
+use super::{DataError, Dataset, MotionSource, OpenOptions, Piece, Split};
+
+/// How much is looked at.
+#[derive(Clone, Debug)]
+pub struct CheckOptions {
+    /// What the folder does not say itself.
+    pub open: OpenOptions,
+    /// Songs that are decoded, spread evenly; all without a number.
+    pub songs: Option<usize>,
+    /// Of these, songs whose beats are compared with the grid.
+    pub beats: usize,
+}
+
+impl Default for CheckOptions {
+    fn default() -> Self {
+        Self {
+            open: OpenOptions::default(),
+            songs: None,
+            beats: 8,
+        }
+    }
+}
+
+/// Checks the folder `root`.
+///
+/// # Errors
+/// [`DataError`] where there is nothing to report on: no known layout, or an index that is no JSON.
+/// Everything else is a [`Finding`].
+pub fn check(root: &Path, options: &CheckOptions) -> Result<Report, DataError> {
+    let dataset = Dataset::survey(root, &options.open)?;
+    let mut findings = Findings::default();
+    for defect in &dataset.defects {
+        findings.add(Topic::Entry, format!("{}: {}", defect.piece, defect.what));
+    }
+    for note in &dataset.notes {
+        findings.add(Topic::Layout, note.clone());
+    }
+    missing_files(&dataset, &mut findings);
+    let mut by_motion: BTreeMap<&MotionSource, Vec<&Piece>> = BTreeMap::new();
+    for piece in &dataset.pieces {
+        by_motion.entry(&piece.motion).or_default().push(piece);
+    }
+    let mut frames: HashMap<&MotionSource, usize> = HashMap::new();
+    for (source, pieces) in &by_motion {
+        if source.path().is_file()
+            && let Some(found) = motions::check(source, pieces, &dataset.skeleton, &mut findings)
+        {
+            frames.insert(source, found);
+        }
+    }
+    let heard = music::check(&dataset, &frames, options, &mut findings);
+    splits::check(&dataset, &frames, &heard, &mut findings);
+    Ok(Report {
+        folder: root.to_owned(),
+        layout: dataset.layout.to_string(),
+        splits: [Split::Train, Split::Test]
+            .map(|split| report::summary(&dataset, split, &frames))
+            .to_vec(),
+        motions_checked: by_motion.len(),
+        songs_decoded: heard.len(),
+        beats_compared: heard
+            .values()
+            .filter(|song| song.as_ref().is_ok_and(|song| song.beats.is_some()))
+            .count(),
+        findings: findings.into_list(),
+    })
+}
+
+fn missing_files(dataset: &Dataset, findings: &mut Findings) {
+    for piece in &dataset.pieces {
+        let music = piece.music.as_ref().map(|music| music.path());
+        for path in [Some(piece.motion.path()), music].into_iter().flatten() {
+            if !path.is_file() {
+                let name = path.strip_prefix(&dataset.root).unwrap_or(path);
+                let place = format!("{}: {}", piece.id, name.display());
+                findings.add(Topic::MissingFile, place);
+            }
+        }
+    }
+}
+
+fn file_name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests;

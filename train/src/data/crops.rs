@@ -1,0 +1,154 @@
+//! Which crops an epoch is made of, and which music rows lie beside them.
+
+use std::ops::Range;
+
+use rand::{RngExt, SeedableRng, seq::SliceRandom};
+use rand_chacha::ChaCha8Rng;
+
+use super::{FRAMES_PER_CODE, PHASES, Portion, Training};
+
+/// How dances are cut (ARCHITECTURE section 6: 240 frames; stride 40 for the VQ-VAE, 8 for root
+/// branch and GPT).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CropPlan {
+    /// Frames of a crop.
+    pub frames: usize,
+    /// Frames between the starts of neighbouring crops.
+    pub stride: usize,
+    /// Whether half of the crops are mirrored.
+    pub mirror: bool,
+    /// Start phases to draw from: 1 keeps every dance as it is, [`PHASES`] moves code boundaries
+    /// to every frame.
+    pub phases: usize,
+}
+
+/// One crop of an epoch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Draw {
+    /// Index into [`Portion::dances`].
+    pub dance: usize,
+    /// Index into the dance's songs.
+    pub song: usize,
+    /// Frames cut off the dance (and as much time off the song) before anything else.
+    pub phase: usize,
+    /// First frame of the crop in the dance so cut.
+    pub start: usize,
+    /// Whether the crop is mirrored.
+    pub mirrored: bool,
+}
+
+/// Starts of the crops of a motion of `frames` frames; none when it is shorter than one crop.
+pub fn crop_starts(frames: usize, length: usize, stride: usize) -> impl Iterator<Item = usize> {
+    let starts = (frames + 1).saturating_sub(length);
+    (0..starts).step_by(stride.max(1))
+}
+
+/// Music rows beside the pose codes `codes` of a dance: row `k + 1` goes with code `k`
+/// (ARCHITECTURE section 3: the reference drops the first row).
+#[must_use]
+pub fn rows_beside(codes: Range<usize>) -> Range<usize> {
+    codes.start + 1..codes.end + 1
+}
+
+/// Frames of a dance that have music: all codes in them have their row.
+///
+/// `rows` is the number of conditioning rows of the whole song. It holds for every start phase,
+/// since dance and song lose the same time. For a dance with several songs take the smallest.
+#[must_use]
+pub fn common_frames(frames: usize, rows: usize) -> usize {
+    frames.min(rows.saturating_sub(1) * FRAMES_PER_CODE)
+}
+
+impl Portion<Training> {
+    /// The crops of one epoch in random order, the same for the same seed and epoch.
+    ///
+    /// `frames` are the lengths of the motions in the order of [`Portion::dances`]; for training
+    /// with music, of what has music ([`common_frames`]). A dance gives
+    /// each of its crops once, with a song drawn among its songs; one start phase is drawn per
+    /// dance and epoch. Dances whose music cannot be moved keep phase 0.
+    #[must_use]
+    pub fn epoch(&self, plan: &CropPlan, frames: &[usize], seed: u64, epoch: u64) -> Vec<Draw> {
+        let mut generator = ChaCha8Rng::seed_from_u64(seed);
+        generator.set_stream(epoch);
+        let mut draws = Vec::new();
+        for (dance, (content, &frames)) in self.dances().iter().zip(frames).enumerate() {
+            let drawn = generator.random_range(0..plan.phases.clamp(1, PHASES));
+            let phase = if content.can_shift() { drawn } else { 0 };
+            let left = frames.saturating_sub(phase);
+            for start in crop_starts(left, plan.frames, plan.stride) {
+                draws.push(Draw {
+                    dance,
+                    song: generator.random_range(0..content.songs().len().max(1)),
+                    phase,
+                    start,
+                    mirrored: plan.mirror && generator.random::<bool>(),
+                });
+            }
+        }
+        draws.shuffle(&mut generator);
+        draws
+    }
+}
+
+impl Draw {
+    /// The crop's frames in the dance as it is stored.
+    #[must_use]
+    pub fn frames(&self, length: usize) -> Range<usize> {
+        let start = self.phase + self.start;
+        start..start + length
+    }
+
+    /// The crop's pose codes, counted from the start of the dance after the cut. Only crops that
+    /// start on a code boundary have whole codes: the stride must be a multiple of 8.
+    #[must_use]
+    pub fn codes(&self, length: usize) -> Range<usize> {
+        let first = self.start / FRAMES_PER_CODE;
+        first..first + length / FRAMES_PER_CODE
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn crops_cover_what_fits() {
+        let starts = |frames| crop_starts(frames, 240, 40).collect::<Vec<_>>();
+        assert_eq!(starts(239), [0_usize; 0]);
+        assert_eq!(starts(240), [0]);
+        assert_eq!(starts(280), [0, 40]);
+        assert_eq!(starts(319), [0, 40]);
+    }
+
+    #[test]
+    fn every_code_of_the_common_frames_has_its_row_at_any_phase() {
+        for samples in [38_400_usize, 38_399, 37_889, 511, 0] {
+            let rows = |phase: usize| 1 + samples.saturating_sub(64 * phase) / 512;
+            let frames = common_frames(600, rows(0));
+            assert!(frames <= 600 && 64 * frames <= samples);
+            for phase in 0..PHASES {
+                let codes = frames.saturating_sub(phase) / FRAMES_PER_CODE;
+                assert!(
+                    codes == 0 || rows_beside(0..codes).end <= rows(phase),
+                    "{samples} {phase}"
+                );
+            }
+        }
+        assert_eq!(common_frames(600, 76), 600);
+        assert_eq!(common_frames(600, 0), 0);
+    }
+
+    #[test]
+    fn rows_are_one_ahead_of_their_codes() {
+        assert_eq!(rows_beside(0..29), 1..30);
+        let draw = Draw {
+            dance: 0,
+            song: 0,
+            phase: 3,
+            start: 80,
+            mirrored: false,
+        };
+        assert_eq!(draw.codes(240), 10..40);
+        assert_eq!(draw.frames(240), 83..323);
+    }
+}

@@ -1,0 +1,165 @@
+//! Feature rows of songs: computed by `bailando`, cached by content.
+
+use std::{
+    collections::HashMap,
+    path::{Path, PathBuf},
+    time::Duration,
+};
+
+use bailando::{
+    CancelToken,
+    audio::{AudioLimits, AudioRange, DecodedAudio, decode},
+    features::{FeatureExtractor, HOP, Profile, Rate},
+};
+use ndarray::{Array2, Axis, Slice};
+
+use super::{DataError, FPS, FeatureCache, FeatureKey, MusicSource, files, json};
+
+/// Computes, caches and hands out music rows of one profile.
+pub struct MusicLibrary {
+    cache: FeatureCache,
+    profile: Profile,
+    extractors: HashMap<u32, FeatureExtractor>,
+    computed: usize,
+}
+
+impl MusicLibrary {
+    /// A library over a cache folder.
+    #[must_use]
+    pub fn new(cache: FeatureCache, profile: Profile) -> Self {
+        Self {
+            cache,
+            profile,
+            extractors: HashMap::new(),
+            computed: 0,
+        }
+    }
+
+    /// Songs whose features had to be computed so far.
+    #[must_use]
+    pub fn computed(&self) -> usize {
+        self.computed
+    }
+
+    /// `[T, 438]` at 7.5 rows a second of the song without its first `phase` frames (of 1/60 s):
+    /// row 0 lies at frame `phase` of the dance.
+    ///
+    /// # Errors
+    /// [`DataError`]: the file, the audio, the features or the cache; [`DataError::StoredRows`]
+    /// where rows are stored at 60 a second, or would have to be moved.
+    pub fn conditioning(
+        &mut self,
+        music: &MusicSource,
+        phase: usize,
+    ) -> Result<Array2<f32>, DataError> {
+        match music {
+            MusicSource::Audio(path) => self.computed_rows(path, Rate::Conditioning, phase),
+            MusicSource::DanceRows(path) | MusicSource::Rows(path) if phase > 0 => Err(stored(
+                path,
+                "rows of 7.5 a second cannot be moved by single frames",
+            )),
+            MusicSource::DanceRows(path) | MusicSource::Rows(path) => match json::rows(path)? {
+                (rows, Rate::Conditioning) => Ok(rows),
+                _ => Err(stored(
+                    path,
+                    "music_array has 60 rows a second, the GPT needs 7.5",
+                )),
+            },
+        }
+    }
+
+    /// `[T, 438]` at 60 rows a second, row 0 at frame `phase` of the dance. A frame is a row, so
+    /// the whole song's rows are cut: its beats stay where they are.
+    ///
+    /// # Errors
+    /// As [`MusicLibrary::conditioning`].
+    pub fn beats(&mut self, music: &MusicSource, phase: usize) -> Result<Array2<f32>, DataError> {
+        let rows = match music {
+            MusicSource::Audio(path) => self.computed_rows(path, Rate::Beats, 0)?,
+            MusicSource::DanceRows(path) | MusicSource::Rows(path) => match json::rows(path)? {
+                (rows, Rate::Beats) => rows,
+                _ => {
+                    return Err(stored(
+                        path,
+                        "music_array has 7.5 rows a second, beats need 60",
+                    ));
+                }
+            },
+        };
+        let phase = phase.min(rows.nrows());
+        Ok(rows.slice_axis(Axis(0), Slice::from(phase..)).to_owned())
+    }
+
+    fn computed_rows(
+        &mut self,
+        path: &Path,
+        rate: Rate,
+        phase: usize,
+    ) -> Result<Array2<f32>, DataError> {
+        let bytes = files::read(path)?;
+        let key = FeatureKey::new(&bytes, self.profile, rate, phase);
+        if let Some(rows) = self.cache.get(&key) {
+            return Ok(rows);
+        }
+        let decoded = decoded(path, bytes, &[rate.hz()])?;
+        let signal = decoded.signals.first().map_or(&[][..], Vec::as_slice);
+        let signal = signal.get(samples(phase, rate)..).unwrap_or_default();
+        let profile = self.profile;
+        let extractor = self.extractors.entry(rate.hz());
+        let extractor = extractor.or_insert_with(|| FeatureExtractor::new(rate, profile));
+        let rows = extractor
+            .extract(signal)
+            .map_err(|source| DataError::Features {
+                path: path.to_owned(),
+                source,
+            })?;
+        self.cache.put(&key, &rows)?;
+        self.computed += 1;
+        Ok(rows)
+    }
+}
+
+/// Samples of `frames` motion frames: exact at both rates, 64 and 512 each.
+fn samples(frames: usize, rate: Rate) -> usize {
+    let per_frame = (rate.rows_per_second() * HOP as f64 / FPS as f64).round();
+    frames * per_frame as usize
+}
+
+/// Decodes a song of the data: longer than any upload may be.
+pub(super) fn decoded(
+    path: &Path,
+    bytes: Vec<u8>,
+    rates: &[u32],
+) -> Result<DecodedAudio, DataError> {
+    let limits = AudioLimits {
+        max_seconds: 3_600.0,
+        min_seconds: 0.0,
+        min_sample_rate: 3_840,
+        max_decode_time: Duration::from_secs(300),
+        ..AudioLimits::default()
+    };
+    let (range, cancel) = (AudioRange::default(), CancelToken::new());
+    decode(bytes.into(), range, rates, &limits, &cancel).map_err(|source| DataError::Audio {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+fn stored(path: &Path, what: &'static str) -> DataError {
+    DataError::StoredRows {
+        path: PathBuf::from(path),
+        what,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_is_a_whole_number_of_samples_at_both_rates() {
+        assert_eq!(samples(1, Rate::Conditioning), 64);
+        assert_eq!(samples(7, Rate::Beats), 7 * HOP);
+        assert_eq!(samples(8, Rate::Conditioning), HOP);
+    }
+}

@@ -1,0 +1,43 @@
+//! Training data: three layouts behind one [`Dataset`], splits kept apart by type, motion as the
+//! networks take it (ARCHITECTURE section 1), music rows computed by `bailando` and cached.
+//!
+//! [`Dataset::open`] → [`Dataset::training`] (or [`Dataset::evaluation`]) → [`Portion`] →
+//! [`Portion::epoch`] draws crops, [`Dance::motion`] and [`MusicLibrary`] fill them.
+//! [`check`] says in plain words what is wrong with a folder.
+
+mod aist;
+mod augment;
+mod cache;
+pub mod check;
+mod crops;
+mod dataset;
+mod error;
+mod files;
+mod folder;
+mod json;
+mod library;
+mod motion;
+mod npy;
+mod portion;
+mod smpl;
+mod songs;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+
+pub use augment::{PHASES, mirrored, mirrored_joints, phase_cut};
+pub use cache::{FEATURE_VERSION, FeatureCache, FeatureKey};
+pub use crops::{CropPlan, Draw, common_frames, crop_starts, rows_beside};
+pub use dataset::{Dataset, Defect, Layout, MotionSource, MusicSource, OpenOptions, Piece, Split};
+pub use error::DataError;
+pub use library::MusicLibrary;
+pub use motion::Motion;
+pub use portion::{Dance, Evaluation, Portion, Song, SplitKind, Training};
+
+/// Frames per second of all motion.
+pub const FPS: usize = 60;
+/// Joints of all motion, SMPL order.
+pub const JOINTS: usize = 24;
+/// Frames that one pose code stands for.
+pub const FRAMES_PER_CODE: usize = 8;

@@ -1,0 +1,156 @@
+//! The pieces of one split, as a type: a `Portion<Training>` cannot hand out test pieces, and
+//! what takes one cannot be given a `Portion<Evaluation>`.
+
+use std::{collections::BTreeMap, marker::PhantomData};
+
+use bailando::motion::Skeleton;
+
+use super::{DataError, Dataset, Motion, MotionSource, MusicSource, Split};
+
+mod sealed {
+    pub trait Sealed {}
+}
+
+/// One of [`Training`] and [`Evaluation`].
+pub trait SplitKind: sealed::Sealed {
+    /// The split it stands for.
+    const SPLIT: Split;
+}
+
+/// Marks what a model may learn from.
+#[derive(Clone, Copy, Debug)]
+pub enum Training {}
+/// Marks what a model is judged by.
+#[derive(Clone, Copy, Debug)]
+pub enum Evaluation {}
+
+impl sealed::Sealed for Training {}
+impl sealed::Sealed for Evaluation {}
+
+impl SplitKind for Training {
+    const SPLIT: Split = Split::Train;
+}
+
+impl SplitKind for Evaluation {
+    const SPLIT: Split = Split::Test;
+}
+
+/// Everything of one split: dances, each once, with all of its songs.
+#[derive(Clone, Debug)]
+pub struct Portion<S> {
+    dances: Vec<Dance<S>>,
+    skeleton: Skeleton,
+}
+
+/// One motion file. Weights go by dance, not by piece: seven songs for one dance must not make
+/// it seven times as important.
+#[derive(Clone, Debug)]
+pub struct Dance<S> {
+    source: MotionSource,
+    style: Option<String>,
+    songs: Vec<Song>,
+    split: PhantomData<S>,
+}
+
+/// A song that goes with a dance: one piece of the data.
+#[derive(Clone, Debug)]
+pub struct Song {
+    /// The piece's id.
+    pub id: String,
+    /// Where the music is; none for motion without music.
+    pub music: Option<MusicSource>,
+    /// Beats in seconds from frame 0, where the data have them.
+    pub grid_beats_s: Vec<f64>,
+    /// Beats per minute, where the data say.
+    pub bpm: Option<f64>,
+}
+
+impl<S: SplitKind> Portion<S> {
+    pub(super) fn of(dataset: &Dataset) -> Result<Self, DataError> {
+        let mut dances: BTreeMap<&MotionSource, Dance<S>> = BTreeMap::new();
+        for piece in dataset
+            .pieces
+            .iter()
+            .filter(|piece| piece.split == S::SPLIT)
+        {
+            let dance = dances.entry(&piece.motion).or_insert_with(|| Dance {
+                source: piece.motion.clone(),
+                style: piece.style.clone(),
+                songs: Vec::new(),
+                split: PhantomData,
+            });
+            dance.songs.push(Song {
+                id: piece.id.clone(),
+                music: piece.music.clone(),
+                grid_beats_s: piece.grid_beats_s.clone(),
+                bpm: piece.bpm,
+            });
+        }
+        if dances.is_empty() {
+            return Err(DataError::Empty {
+                path: dataset.root.clone(),
+                split: S::SPLIT,
+            });
+        }
+        Ok(Self {
+            dances: dances.into_values().collect(),
+            skeleton: dataset.skeleton.clone(),
+        })
+    }
+
+    /// The dances, in a fixed order.
+    #[must_use]
+    pub fn dances(&self) -> &[Dance<S>] {
+        &self.dances
+    }
+
+    /// The skeleton of all motions.
+    #[must_use]
+    pub fn skeleton(&self) -> &Skeleton {
+        &self.skeleton
+    }
+
+    /// Reads every motion, in the order of [`Portion::dances`].
+    ///
+    /// # Errors
+    /// [`DataError`] of the first that cannot be read.
+    pub fn motions(&self) -> Result<Vec<Motion>, DataError> {
+        let motions = self.dances.iter().map(|dance| dance.motion(&self.skeleton));
+        motions.collect()
+    }
+}
+
+impl<S> Dance<S> {
+    /// Where the motion is.
+    #[must_use]
+    pub fn source(&self) -> &MotionSource {
+        &self.source
+    }
+
+    /// Kind of dance, where the data say.
+    #[must_use]
+    pub fn style(&self) -> Option<&str> {
+        self.style.as_deref()
+    }
+
+    /// The songs that it was paired with, one per piece.
+    #[must_use]
+    pub fn songs(&self) -> &[Song] {
+        &self.songs
+    }
+
+    /// Reads the motion.
+    ///
+    /// # Errors
+    /// [`DataError`] names the file and what is wrong with it.
+    pub fn motion(&self, skeleton: &Skeleton) -> Result<Motion, DataError> {
+        self.source.load(skeleton)
+    }
+
+    /// Whether all of its songs can start anywhere ([`MusicSource::can_shift`]).
+    #[must_use]
+    pub fn can_shift(&self) -> bool {
+        let shiftable = |song: &Song| song.music.as_ref().is_none_or(MusicSource::can_shift);
+        self.songs.iter().all(shiftable)
+    }
+}
