@@ -224,6 +224,9 @@ run_server() {
         sleep 0.5
     done
     echo "healthcheck: passes"
+    # Alive is not ready: the model is loaded after the port is open.
+    curl --silent --fail --output /dev/null --retry 30 --retry-delay 1 "$url/ready" ||
+        fail "the server does not get ready: see $work/server.log"
     grep '^Uid' "/proc/$(server_pid)/status"
     show_memory idle
     ask "$song" json
