@@ -8,6 +8,10 @@
     reason = "helpers of tests: failing loudly is their job"
 )]
 
+#[path = "audio/writers.rs"]
+#[allow(dead_code, reason = "other tests use the rest of it")]
+mod writers;
+
 use std::{collections::HashSet, path::Path, sync::OnceLock};
 
 use bailando::{
@@ -18,6 +22,7 @@ use bailando::{
     motion::{Positions, forward, lower_foot_heights},
 };
 use ndarray::Axis;
+use writers::wav16;
 
 const SONG_SECONDS: f64 = 30.0;
 const FPS: usize = 60;
@@ -65,25 +70,10 @@ fn wav_of_the_flac() -> Vec<u8> {
     wav(&decoded.signals[0], RATE)
 }
 
+/// A 16-bit mono wav.
 fn wav(samples: &[f32], rate: u32) -> Vec<u8> {
-    let data: Vec<u8> = samples
-        .iter()
-        .flat_map(|sample| {
-            ((sample * 32_768.0).round().clamp(-32_768.0, 32_767.0) as i16).to_le_bytes()
-        })
-        .collect();
-    let mut bytes = b"RIFF".to_vec();
-    bytes.extend((36 + data.len() as u32).to_le_bytes());
-    bytes.extend(b"WAVEfmt ");
-    bytes.extend(16_u32.to_le_bytes());
-    bytes.extend([1, 0, 1, 0]);
-    bytes.extend(rate.to_le_bytes());
-    bytes.extend((2 * rate).to_le_bytes());
-    bytes.extend([2, 0, 16, 0]);
-    bytes.extend(b"data");
-    bytes.extend((data.len() as u32).to_le_bytes());
-    bytes.extend(data);
-    bytes
+    let rounded = |sample: &f32| (sample * 32_768.0).round().clamp(-32_768.0, 32_767.0) as i16;
+    wav16(1, rate, &samples.iter().map(rounded).collect::<Vec<_>>())
 }
 
 /// Ten seconds of clicks at 90 beats a minute over a low note: another song.
