@@ -4,6 +4,7 @@
 //! Metres, y up, right-handed; the rest pose faces +z with the left side at +x.
 
 mod error;
+mod facing;
 mod finish;
 mod fit;
 mod floor;
@@ -19,6 +20,7 @@ mod tests;
 mod two_bones;
 
 pub use error::MotionError;
+pub use facing::{facing_columns, facings, to_dancer_frame, to_world_frame};
 pub use finish::{FinishOptions, Finished, PositionsSource, finish};
 pub use floor::{STANDING_HEIGHT, floor_correction, lower_foot_heights};
 pub use forward::forward;
