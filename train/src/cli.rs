@@ -11,12 +11,15 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::{
     data::{
-        OpenOptions,
+        Dataset, FeatureCache, MusicLibrary, MusicSource, OpenOptions,
         check::{CheckOptions, check},
     },
     export::Description,
     import::{ImportOptions, import},
-    training::{Config, Limits, Load, MotionSet, Outcome, Stage, export, train},
+    training::{
+        Adaptation, Config, Limits, Load, MotionSet, Outcome, Song, Stage, actor_critic, adapt,
+        export, export_adapted, train,
+    },
 };
 
 /// Offline companion of bailando: makes the model directories that the server runs.
@@ -37,6 +40,9 @@ enum Command {
     Velocity(StageArguments),
     /// Train the motion GPT on the finished VQ-VAE's codes
     Gpt(StageArguments),
+    /// Train the policy on rewards of the dances it generates, beside a critic
+    ActorCritic(StageArguments),
+    Adapt(AdaptArguments),
     /// Write the model directory of a finished run
     Export(RunArguments),
     CheckData(CheckArguments),
@@ -58,7 +64,7 @@ struct StageArguments {
     /// Settings; what the file does not say is as published
     config: PathBuf,
 
-    /// Official checkpoint to start from (vqvae and gpt)
+    /// Official checkpoint to start from (vqvae, gpt; of actor-critic and adapt: the critic)
     #[arg(long, value_name = "FILE.pt")]
     init: Option<PathBuf>,
 
@@ -69,6 +75,29 @@ struct StageArguments {
     /// Write a checkpoint and stop after this many steps; the same command goes on
     #[arg(long, value_name = "N")]
     max_steps: Option<u64>,
+}
+
+/// Train the policy on the rewards of one song, for which no dance is needed.
+///
+/// Starts from the finished actor-critic of the run, else from its gpt. Goes on from its last
+/// checkpoint, which is found by the song's content.
+#[derive(Args, Debug)]
+#[command(after_help = "Example: bailando-train adapt train/presets/default.toml --song song.mp3")]
+struct AdaptArguments {
+    #[command(flatten)]
+    stage: StageArguments,
+
+    /// The song: any audio file that the server takes
+    #[arg(long, value_name = "FILE")]
+    song: PathBuf,
+
+    /// Model directory to write [default: `model` in the song's folder of the run]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+
+    /// Replace the model that is already there
+    #[arg(long)]
+    force: bool,
 }
 
 /// Turn official PyTorch checkpoints into a model directory.
@@ -216,6 +245,8 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
         Command::VqVae(arguments) => train_stage(Stage::VqVae, &arguments, output),
         Command::Velocity(arguments) => train_stage(Stage::Velocity, &arguments, output),
         Command::Gpt(arguments) => train_stage(Stage::Gpt, &arguments, output),
+        Command::ActorCritic(arguments) => train_policy(&arguments, output),
+        Command::Adapt(arguments) => adapt_policy(&arguments, output),
         Command::Export(arguments) => {
             let config = Config::read(&arguments.config)?;
             let manifest = export(&config, arguments.force)?;
@@ -242,16 +273,58 @@ fn train_stage(
         "velocity has no --init: it starts from the VQ-VAE of the run"
     );
     let set = MotionSet::read(&config.data.folder, load)?;
-    let limits = Limits {
-        seconds: arguments.max_seconds,
-        steps: arguments.max_steps,
-    };
-    let init = arguments.init.as_deref();
-    match train(stage, &config, &set, init, limits, output)? {
+    let (init, limits) = (arguments.init.as_deref(), arguments.limits());
+    let outcome = train(stage, &config, &set, init, limits, output)?;
+    report_outcome(outcome, output)
+}
+
+fn train_policy(arguments: &StageArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let config = Config::read(&arguments.config)?;
+    let dataset = Dataset::open(&config.data.folder, &OpenOptions::default())?;
+    let songs = Song::of_training(&dataset.training()?, &mut music_library(&config)?)?;
+    let (init, limits) = (arguments.init.as_deref(), arguments.limits());
+    let outcome = actor_critic(&config, &songs, init, limits, output)?;
+    report_outcome(outcome, output)
+}
+
+fn adapt_policy(arguments: &AdaptArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let config = Config::read(&arguments.stage.config)?;
+    let music = MusicSource::Audio(arguments.song.clone());
+    let song = Song::read(&music, &mut music_library(&config)?)?;
+    let adaptation = Adaptation::new(&config, &arguments.song, song)?;
+    let (init, limits) = (arguments.stage.init.as_deref(), arguments.stage.limits());
+    let outcome = adapt(&config, &adaptation, init, limits, output)?;
+    report_outcome(outcome, output)?;
+    if outcome == Outcome::Paused {
+        return Ok(());
+    }
+    let folder = arguments.out.clone();
+    let folder = folder.unwrap_or_else(|| adaptation.folder.join("model"));
+    let manifest = export_adapted(&config, &adaptation, &folder, arguments.force)?;
+    writeln!(output, "wrote {} ({})", folder.display(), manifest.name)?;
+    Ok(())
+}
+
+fn music_library(config: &Config) -> anyhow::Result<MusicLibrary> {
+    let cache = FeatureCache::open(&FeatureCache::default_folder()?)?;
+    Ok(MusicLibrary::new(cache, config.data.profile))
+}
+
+fn report_outcome(outcome: Outcome, output: &mut impl Write) -> anyhow::Result<()> {
+    match outcome {
         Outcome::Finished => writeln!(output, "finished")?,
         Outcome::Paused => writeln!(output, "paused: the same command goes on")?,
     }
     Ok(())
+}
+
+impl StageArguments {
+    fn limits(&self) -> Limits {
+        Limits {
+            seconds: self.max_seconds,
+            steps: self.max_steps,
+        }
+    }
 }
 
 fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Result<()> {

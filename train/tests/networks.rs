@@ -11,16 +11,18 @@ mod common;
 
 use bailando_train::{
     checkpoint::Checkpoint,
-    nn::{Codebook, DecoderNet, GptNet, HalfNet, Parameters, Store},
-    weights::{GptWeights, HALF_JOINTS, HalfWeights, VqVaeWeights},
+    nn::{Codebook, CriticNet, DecoderNet, GptNet, HalfNet, Parameters, Store},
+    weights::{CriticWeights, GptWeights, HALF_JOINTS, HalfWeights, VqVaeWeights},
 };
 use burn_flex::{Flex, FlexDevice};
 use burn_tensor::{Int, Tensor, TensorData};
 use common::{HEADS, codes, fixture, floats};
-use ndarray::Array2;
+use ndarray::{Array1, Array2};
 
 /// Largest difference to the golden vectors.
 const TOLERANCE: f32 = 2e-5;
+/// Blocks of the golden model's state network.
+const BASE_LAYERS: usize = 2;
 
 fn device() -> FlexDevice {
     FlexDevice
@@ -133,23 +135,8 @@ fn the_gpt_gives_the_golden_logits() {
     assert_eq!(net.weights(&store), weights);
     let parameters = Parameters::from_store(&store, &device());
 
-    let steps = net.block();
-    let music: Array2<f32> = floats(&fixture("music.npy"));
-    let columns = music.ncols();
-    let rows: Vec<f32> = music
-        .rows()
-        .into_iter()
-        .skip(1)
-        .take(steps)
-        .flatten()
-        .copied()
-        .collect();
-    let music = Tensor::<Flex, 3>::from_data(TensorData::new(rows, [1, steps, columns]), &device());
-    let half = |half: &str| {
-        let codes = codes(&fixture(&format!("codes_slide_{half}.npy")));
-        indices(&codes[..steps]).unsqueeze_dim::<2>(0)
-    };
-    let logits = net.forward(&parameters, music, [half("up"), half("down")], 0.0);
+    let (music, codes) = block_input(net.block());
+    let logits = net.forward(&parameters, music, codes, 0.0);
     for (found, half) in [(logits.upper, "up"), (logits.lower, "down")] {
         let golden: Array2<f32> = floats(&fixture(&format!("block_logits_{half}.npy")));
         let found = flat(found);
@@ -162,4 +149,37 @@ fn the_gpt_gives_the_golden_logits() {
             );
         }
     }
+}
+
+#[test]
+fn the_critic_gives_the_golden_values() {
+    let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
+    let weights = CriticWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
+    let mut store = Store::default();
+    let net = GptNet::new(&gpt(), &mut store);
+    let critic = CriticNet::new(&weights, &mut store);
+    assert_eq!(critic.weights(&store), weights);
+    let parameters = Parameters::from_store(&store, &device());
+    let (music, codes) = block_input(net.block());
+    let states = net.states(&parameters, music, codes, BASE_LAYERS, 0.0);
+    let found = critic.forward(&parameters, states).into_data();
+    let golden: Array1<f32> = ndarray_npy::read_npy(fixture("critic_values.npy")).unwrap();
+    assert_eq!(found.num_elements(), golden.len());
+    for (found, wanted) in found.iter::<f32>().zip(&golden) {
+        assert!((found - wanted).abs() <= TOLERANCE, "{found} {wanted}");
+    }
+}
+
+/// Music and codes of a full block of the golden vectors.
+fn block_input(steps: usize) -> (Tensor<Flex, 3>, [Tensor<Flex, 2, Int>; 2]) {
+    let music: Array2<f32> = floats(&fixture("music.npy"));
+    let columns = music.ncols();
+    let rows = music.rows().into_iter().skip(1).take(steps);
+    let rows: Vec<f32> = rows.flatten().copied().collect();
+    let music = Tensor::from_data(TensorData::new(rows, [1, steps, columns]), &device());
+    let half = |half: &str| {
+        let codes = codes(&fixture(&format!("codes_slide_{half}.npy")));
+        indices(&codes[..steps]).unsqueeze_dim::<2>(0)
+    };
+    (music, [half("up"), half("down")])
 }

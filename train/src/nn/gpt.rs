@@ -1,20 +1,12 @@
 //! The motion GPT (ARCHITECTURE section 3): state network and policy.
 
-use burn_tensor::{
-    Bool, Distribution, Int, Tensor as Device, TensorData,
-    activation::{gelu, softmax},
-    backend::Backend,
-};
+use burn_tensor::{Int, Tensor as Device, backend::Backend};
 
-use super::parameters::{Parameters, Slot, Store};
-use crate::{
-    Tensor,
-    weights::{Block, GptWeights, LayerNorm, Linear},
+use super::{
+    parameters::{Parameters, Slot, Store},
+    transformer::{Attention, BlockNet, LinearNet, NormNet, STREAMS, drop, multiplied},
 };
-
-/// Music, upper and lower tokens lie behind one another.
-const STREAMS: usize = 3;
-const NORM_EPSILON: f64 = 1e-5;
+use crate::{Tensor, weights::GptWeights};
 
 /// Scores of the next codes, `[batch, steps, vocabulary]` each.
 #[derive(Clone, Debug)]
@@ -98,6 +90,21 @@ impl GptNet {
         codes: [Device<B, 2, Int>; 2],
         dropout: f64,
     ) -> Logits<B> {
+        let layers = self.blocks.len();
+        let states = self.states(parameters, music, codes, layers, dropout);
+        self.policy(parameters, states, layers, dropout)
+    }
+
+    /// What the state network makes of music and codes, `[batch, 3 * steps, channels]`: its blocks
+    /// are the first `layers`.
+    pub fn states<B: Backend>(
+        &self,
+        parameters: &Parameters<B>,
+        music: Device<B, 3>,
+        codes: [Device<B, 2, Int>; 2],
+        layers: usize,
+        dropout: f64,
+    ) -> Device<B, 3> {
         let [batch, steps, _] = music.dims();
         let music = self.music.forward(parameters, music);
         let [upper, lower] = codes;
@@ -112,18 +119,28 @@ impl GptNet {
         let lower = embedded(self.lower_embedding, lower);
         let tokens =
             Device::cat(vec![music, upper, lower], 1) + self.position_rows(parameters, steps);
-        let mask = cross_conditional_mask(steps, parameters.device());
-        let context = Attention {
-            heads: self.heads,
-            mask,
-            dropout,
-        };
-        let hidden = self
-            .blocks
-            .iter()
-            .fold(drop(tokens, dropout), |hidden, block| {
-                block.forward(parameters, hidden, &context)
-            });
+        let context = Attention::new(self.heads, steps, dropout, parameters.device());
+        let blocks = self.blocks.iter().take(layers);
+        blocks.fold(drop(tokens, dropout), |hidden, block| {
+            block.forward(parameters, hidden, &context)
+        })
+    }
+
+    /// What the policy makes of such states: it has the blocks from `layers` on.
+    pub fn policy<B: Backend>(
+        &self,
+        parameters: &Parameters<B>,
+        states: Device<B, 3>,
+        layers: usize,
+        dropout: f64,
+    ) -> Logits<B> {
+        let [_, tokens, _] = states.dims();
+        let steps = tokens / STREAMS;
+        let context = Attention::new(self.heads, steps, dropout, parameters.device());
+        let blocks = self.blocks.iter().skip(layers);
+        let hidden = blocks.fold(states, |hidden, block| {
+            block.forward(parameters, hidden, &context)
+        });
         let hidden = self.final_norm.forward(parameters, hidden);
         let scores = |slot, stream: usize| {
             let rows = hidden.clone().narrow(1, stream * steps, steps);
@@ -141,182 +158,4 @@ impl GptNet {
         let parts = (0..STREAMS).map(|stream| table.clone().narrow(0, stream * self.block, steps));
         Device::cat(parts.collect(), 0).unsqueeze_dim(0)
     }
-}
-
-/// True where attention is forbidden, `[1, 1, 3 * steps, 3 * steps]`: position `i` of any stream
-/// sees positions up to `i` of all three.
-fn cross_conditional_mask<B: Backend>(steps: usize, device: &B::Device) -> Device<B, 4, Bool> {
-    let length = STREAMS * steps;
-    let forbidden: Vec<bool> = (0..length * length)
-        .map(|flat| (flat % length) % steps > (flat / length) % steps)
-        .collect();
-    Device::from_data(TensorData::new(forbidden, [1, 1, length, length]), device)
-}
-
-struct Attention<B: Backend> {
-    heads: usize,
-    mask: Device<B, 4, Bool>,
-    dropout: f64,
-}
-
-#[derive(Clone, Debug)]
-struct BlockNet {
-    attention_norm: NormNet,
-    query: LinearNet,
-    key: LinearNet,
-    value: LinearNet,
-    projection: LinearNet,
-    mlp_norm: NormNet,
-    mlp_in: LinearNet,
-    mlp_out: LinearNet,
-}
-
-impl BlockNet {
-    fn new(name: &str, weights: &Block, store: &mut Store) -> Self {
-        let mut linear =
-            |part: &str, weights| LinearNet::new(&format!("{name}.{part}"), weights, store);
-        let query = linear("query", &weights.query);
-        let key = linear("key", &weights.key);
-        let value = linear("value", &weights.value);
-        let projection = linear("projection", &weights.projection);
-        let mlp_in = linear("mlp_in", &weights.mlp_in);
-        let mlp_out = linear("mlp_out", &weights.mlp_out);
-        let mut norm =
-            |part: &str, weights| NormNet::new(&format!("{name}.{part}"), weights, store);
-        Self {
-            attention_norm: norm("attention_norm", &weights.attention_norm),
-            mlp_norm: norm("mlp_norm", &weights.mlp_norm),
-            query,
-            key,
-            value,
-            projection,
-            mlp_in,
-            mlp_out,
-        }
-    }
-
-    fn weights(&self, store: &Store) -> Block {
-        Block {
-            attention_norm: self.attention_norm.weights(store),
-            query: self.query.weights(store),
-            key: self.key.weights(store),
-            value: self.value.weights(store),
-            projection: self.projection.weights(store),
-            mlp_norm: self.mlp_norm.weights(store),
-            mlp_in: self.mlp_in.weights(store),
-            mlp_out: self.mlp_out.weights(store),
-        }
-    }
-
-    fn forward<B: Backend>(
-        &self,
-        parameters: &Parameters<B>,
-        input: Device<B, 3>,
-        context: &Attention<B>,
-    ) -> Device<B, 3> {
-        let normed = self.attention_norm.forward(parameters, input.clone());
-        let attended = self.attend(parameters, normed, context);
-        let hidden = input + drop(attended, context.dropout);
-        let normed = self.mlp_norm.forward(parameters, hidden.clone());
-        let wide = gelu(self.mlp_in.forward(parameters, normed));
-        hidden + drop(self.mlp_out.forward(parameters, wide), context.dropout)
-    }
-
-    fn attend<B: Backend>(
-        &self,
-        parameters: &Parameters<B>,
-        input: Device<B, 3>,
-        context: &Attention<B>,
-    ) -> Device<B, 3> {
-        let [batch, length, channels] = input.dims();
-        let heads = context.heads;
-        let size = channels / heads;
-        let split = |linear: &LinearNet| {
-            let all = linear.forward(parameters, input.clone());
-            all.reshape([batch, length, heads, size]).swap_dims(1, 2)
-        };
-        let query = split(&self.query).mul_scalar(1.0 / (size as f64).sqrt());
-        let scores = query.matmul(split(&self.key).swap_dims(2, 3));
-        let mask = context.mask.clone().expand([batch, heads, length, length]);
-        let shares = softmax(scores.mask_fill(mask, f32::NEG_INFINITY), 3);
-        let mixed = drop(shares, context.dropout).matmul(split(&self.value));
-        let joined = mixed.swap_dims(1, 2).reshape([batch, length, channels]);
-        self.projection.forward(parameters, joined)
-    }
-}
-
-#[derive(Clone, Debug)]
-struct LinearNet {
-    /// `[in, out]`.
-    weight: Slot,
-    bias: Slot,
-}
-
-impl LinearNet {
-    fn new(name: &str, weights: &Linear, store: &mut Store) -> Self {
-        Self {
-            weight: store.push(format!("{name}.weight"), weights.weight.transposed()),
-            bias: store.push(format!("{name}.bias"), weights.bias.clone()),
-        }
-    }
-
-    fn weights(&self, store: &Store) -> Linear {
-        Linear {
-            weight: store.get(self.weight).transposed(),
-            bias: store.get(self.bias).clone(),
-        }
-    }
-
-    fn forward<B: Backend>(&self, parameters: &Parameters<B>, input: Device<B, 3>) -> Device<B, 3> {
-        let product = multiplied(input, parameters.matrix(self.weight));
-        product + parameters.row(self.bias).unsqueeze_dim(0)
-    }
-}
-
-#[derive(Clone, Debug)]
-struct NormNet {
-    weight: Slot,
-    bias: Slot,
-}
-
-impl NormNet {
-    fn new(name: &str, weights: &LayerNorm, store: &mut Store) -> Self {
-        Self {
-            weight: store.push(format!("{name}.weight"), weights.weight.clone()),
-            bias: store.push(format!("{name}.bias"), weights.bias.clone()),
-        }
-    }
-
-    fn weights(&self, store: &Store) -> LayerNorm {
-        LayerNorm {
-            weight: store.get(self.weight).clone(),
-            bias: store.get(self.bias).clone(),
-        }
-    }
-
-    fn forward<B: Backend>(&self, parameters: &Parameters<B>, input: Device<B, 3>) -> Device<B, 3> {
-        let mean = input.clone().mean_dim(2);
-        let centred = input - mean;
-        let variance = centred.clone().square().mean_dim(2);
-        let scaled = centred / variance.add_scalar(NORM_EPSILON).sqrt();
-        let row = |slot| parameters.row(slot).unsqueeze_dim(0);
-        scaled * row(self.weight) + row(self.bias)
-    }
-}
-
-/// The last dimension times a matrix, as one product.
-fn multiplied<B: Backend>(input: Device<B, 3>, matrix: Device<B, 2>) -> Device<B, 3> {
-    let [batch, length, channels] = input.dims();
-    let [_, outputs] = matrix.dims();
-    let rows = input.reshape([batch * length, channels]);
-    rows.matmul(matrix).reshape([batch, length, outputs])
-}
-
-/// Sets a share of the values to zero and scales the others up.
-fn drop<B: Backend, const D: usize>(input: Device<B, D>, share: f64) -> Device<B, D> {
-    if share <= 0.0 {
-        return input;
-    }
-    let keep = input.random_like(Distribution::Bernoulli(1.0 - share));
-    input * keep.mul_scalar(1.0 / (1.0 - share))
 }

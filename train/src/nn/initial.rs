@@ -8,8 +8,9 @@ use rand_chacha::{
 use crate::{
     Tensor,
     weights::{
-        Block, Convolution, DecoderLevel, DecoderWeights, EncoderLevel, EncoderWeights, GptWeights,
-        HALF_JOINTS, HalfWeights, LayerNorm, Linear, ResidualBlock, VqVaeWeights,
+        Block, Convolution, CriticWeights, DecoderLevel, DecoderWeights, EncoderLevel,
+        EncoderWeights, GptWeights, HALF_JOINTS, HalfWeights, LayerNorm, Linear, ResidualBlock,
+        VqVaeWeights,
     },
 };
 
@@ -78,6 +79,19 @@ pub fn random_gpt(sizes: GptSizes, seed: u64) -> GptWeights {
         upper_head: random.normal(vec![upper, channels]),
         lower_head: random.normal(vec![lower, channels]),
         heads: sizes.heads,
+    }
+}
+
+/// A critic of `layers` blocks with random weights, for states of `channels`.
+#[must_use]
+pub fn random_critic(channels: usize, heads: usize, layers: usize, seed: u64) -> CriticWeights {
+    let mut random = Random::new(seed);
+    CriticWeights {
+        blocks: (0..layers).map(|_| block(channels, &mut random)).collect(),
+        final_norm: norm(channels),
+        upper_value: random.normal(vec![1, channels]),
+        lower_value: random.normal(vec![1, channels]),
+        heads,
     }
 }
 

@@ -7,14 +7,17 @@
 
 mod codebook;
 mod convolution;
+mod critic;
 mod gpt;
 mod initial;
 mod parameters;
+mod transformer;
 mod vqvae;
 
 pub use codebook::{Codebook, MovingAverage};
+pub use critic::CriticNet;
 pub use gpt::{GptNet, Logits};
-pub use initial::{GptSizes, VqVaeSizes, random_gpt, random_vqvae};
+pub use initial::{GptSizes, VqVaeSizes, random_critic, random_gpt, random_vqvae};
 pub(crate) use parameters::values;
 pub use parameters::{Parameters, Store};
 pub use vqvae::{DecoderNet, EncoderNet, HalfNet};

@@ -140,6 +140,22 @@ impl<B: Backend> Parameters<B> {
     }
 }
 
+impl<A: AutodiffBackend> Parameters<A> {
+    /// The same values, recording nothing: for parts that do not learn.
+    #[must_use]
+    pub fn untracked(&self) -> Parameters<A::InnerBackend> {
+        Parameters {
+            tensors: self
+                .tensors
+                .iter()
+                .map(|tensor| tensor.clone().inner())
+                .collect(),
+            shapes: self.shapes.clone(),
+            device: self.device.clone(),
+        }
+    }
+}
+
 /// The values of a tensor on the host, in row-major order.
 pub(crate) fn values<B: Backend, const D: usize>(tensor: &Device<B, D>) -> Vec<f32> {
     tensor.to_data().iter::<f32>().collect()

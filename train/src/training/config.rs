@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use bailando::{features::Profile, model::WeightStorage};
 use serde::{Deserialize, Serialize};
 
-use super::TrainError;
+use super::{TrainError, reward::BeatReward};
 
 /// The file that says every setting, with a comment on each.
 const BASE: &str = include_str!("../../presets/paper.toml");
@@ -20,6 +20,8 @@ pub struct Config {
     pub vqvae: VqVaeConfig,
     pub velocity: VelocityConfig,
     pub gpt: GptConfig,
+    pub actor_critic: ActorCriticConfig,
+    pub adapt: AdaptConfig,
     pub export: ExportConfig,
 }
 
@@ -81,6 +83,35 @@ pub struct GptConfig {
     pub stride: usize,
     pub dropout: f64,
     pub standardise_music: bool,
+    pub training: TrainingConfig,
+}
+
+/// Stage `actor-critic`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActorCriticConfig {
+    pub enabled: bool,
+    pub critic_layers: usize,
+    pub reward: BeatReward,
+    pub beat_weight: f64,
+    pub consistency_weight: f64,
+    pub discount: f64,
+    pub entropy_weight: f64,
+    pub temperature: f64,
+    pub pieces_per_epoch: usize,
+    pub codes: usize,
+    pub actor_steps: u64,
+    pub critic_steps: u64,
+    pub critic_warmup_steps: u64,
+    pub training: TrainingConfig,
+}
+
+/// Stage `adapt`; what is not said here is as in `actor_critic`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AdaptConfig {
+    pub pieces_per_epoch: usize,
+    pub codes: usize,
     pub training: TrainingConfig,
 }
 
@@ -157,6 +188,8 @@ impl Config {
             ("vqvae", &self.vqvae.training),
             ("velocity", &self.velocity.training),
             ("gpt", &self.gpt.training),
+            ("actor_critic", &self.actor_critic.training),
+            ("adapt", &self.adapt.training),
         ];
         for (stage, training) in stages {
             training
@@ -181,6 +214,9 @@ impl Config {
                 "gpt: {channels} channels cannot be divided among {heads} heads"
             ));
         }
+        self.actor_critic
+            .check()
+            .map_err(|message| format!("actor_critic: {message}"))?;
         let sizes = [
             ("vqvae.width", self.vqvae.width),
             ("vqvae.embedding", self.vqvae.embedding),
@@ -189,6 +225,7 @@ impl Config {
             ("gpt.block", gpt.block),
             ("gpt.stride", gpt.stride),
             ("gpt.base_layers", gpt.base_layers),
+            ("adapt.pieces_per_epoch", self.adapt.pieces_per_epoch),
         ];
         match sizes.into_iter().find(|&(_, size)| size == 0) {
             Some((name, _)) => Err(format!("{name} must be at least 1")),
@@ -198,6 +235,27 @@ impl Config {
             None if self.run.log_steps == 0 => Err("run.log_steps must be at least 1".into()),
             None => Ok(()),
         }
+    }
+}
+
+impl ActorCriticConfig {
+    fn check(&self) -> Result<(), String> {
+        if self.actor_steps == 0 || self.critic_steps == 0 || self.critic_layers == 0 {
+            return Err("actor_steps, critic_steps and critic_layers must be at least 1".into());
+        }
+        let weights = [
+            ("beat_weight", self.beat_weight),
+            ("consistency_weight", self.consistency_weight),
+            ("discount", self.discount),
+            ("entropy_weight", self.entropy_weight),
+            ("temperature", self.temperature),
+        ];
+        let wrong = weights
+            .into_iter()
+            .find(|(_, value)| !(*value >= 0.0 && value.is_finite()));
+        wrong.map_or(Ok(()), |(name, value)| {
+            Err(format!("{name} ({value}) must be a number of 0 or more"))
+        })
     }
 }
 
@@ -286,6 +344,9 @@ mod tests {
             "[vqvae]\nframes = 60",
             "[gpt]\nheads = 5",
             "[gpt.training]\nrate = 0",
+            "[actor_critic]\nactor_steps = 0",
+            "[actor_critic]\ntemperature = -1.0",
+            "[adapt]\npieces_per_epoch = 0",
             "[gpt.training]\nbetas = [1.0, 0.9]",
         ] {
             assert!(Config::parse(text).is_err(), "{text}");

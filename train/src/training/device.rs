@@ -6,8 +6,13 @@ use burn_autodiff::Autodiff;
 use burn_tensor::backend::AutodiffBackend;
 
 use super::{
-    Config, Limits, MotionSet, Outcome, TrainError, gpt::GptWork, runner::run,
-    velocity::VelocityWork, vqvae::VqVaeWork,
+    Config, Limits, MotionSet, Outcome, Song, TrainError,
+    actor_critic::{ActorCriticWork, Task},
+    gpt::GptWork,
+    policy::Policy,
+    runner::run,
+    velocity::VelocityWork,
+    vqvae::VqVaeWork,
 };
 
 /// A stage that learns.
@@ -34,16 +39,68 @@ pub fn train(
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
-    match config.run.device.as_str() {
-        "cpu" => on::<Autodiff<burn_flex::Flex>>(
-            stage,
-            config,
-            set,
-            init,
-            limits,
-            output,
-            Default::default(),
-        ),
+    let job = StageJob {
+        stage,
+        config,
+        set,
+        init,
+        limits,
+        output,
+    };
+    on_device(&config.run.device, job)
+}
+
+/// Runs stage `actor-critic` on the songs of the training split. `init` is an official checkpoint
+/// whose critic is the first; the policy is that of the finished `gpt`.
+///
+/// # Errors
+/// Any [`TrainError`]; the last checkpoint stays.
+pub fn actor_critic(
+    config: &Config,
+    songs: &[Song],
+    init: Option<&Path>,
+    limits: Limits,
+    output: &mut impl Write,
+) -> Result<Outcome, TrainError> {
+    let task = Task {
+        name: "actor-critic",
+        run: &config.run,
+        stage: &config.actor_critic,
+    };
+    let policy = Policy::of_gpt(config)?;
+    learn_from_rewards(config, task, policy, songs, init, limits, output)
+}
+
+/// The task of either stage that learns from rewards, on the configured device.
+pub(super) fn learn_from_rewards(
+    config: &Config,
+    task: Task<'_>,
+    policy: Policy,
+    songs: &[Song],
+    init: Option<&Path>,
+    limits: Limits,
+    output: &mut impl Write,
+) -> Result<Outcome, TrainError> {
+    let job = RewardJob {
+        config,
+        task,
+        policy,
+        songs,
+        init,
+        limits,
+        output,
+    };
+    on_device(&config.run.device, job)
+}
+
+/// What is to be done on whichever device.
+trait Job {
+    fn run_on<A: AutodiffBackend>(self, device: &A::Device) -> Result<Outcome, TrainError>;
+}
+
+fn on_device(name: &str, job: impl Job) -> Result<Outcome, TrainError> {
+    match name {
+        "cpu" => job.run_on::<Autodiff<burn_flex::Flex>>(&Default::default()),
         other => Err(TrainError::Device {
             device: other.to_owned(),
             message: "expected cpu, the only device of this version".to_owned(),
@@ -51,27 +108,55 @@ pub fn train(
     }
 }
 
-fn on<A: AutodiffBackend>(
+struct StageJob<'a, O> {
     stage: Stage,
-    config: &Config,
-    set: &MotionSet,
-    init: Option<&Path>,
+    config: &'a Config,
+    set: &'a MotionSet,
+    init: Option<&'a Path>,
     limits: Limits,
-    output: &mut impl Write,
-    device: A::Device,
-) -> Result<Outcome, TrainError> {
-    match stage {
-        Stage::VqVae => {
-            let (plan, mut work) = VqVaeWork::<A>::new(config, set, init, &device)?;
-            run::<A, _>(&plan, &mut work, &device, limits, output)
+    output: &'a mut O,
+}
+
+impl<O: Write> Job for StageJob<'_, O> {
+    fn run_on<A: AutodiffBackend>(self, device: &A::Device) -> Result<Outcome, TrainError> {
+        let (config, set, init) = (self.config, self.set, self.init);
+        match self.stage {
+            Stage::VqVae => {
+                let (plan, mut work) = VqVaeWork::<A>::new(config, set, init, device)?;
+                run::<A, _>(&plan, &mut work, device, self.limits, self.output)
+            }
+            Stage::Velocity => {
+                let (plan, mut work) = VelocityWork::<A>::new(config, set, device)?;
+                run::<A, _>(&plan, &mut work, device, self.limits, self.output)
+            }
+            Stage::Gpt => {
+                let (plan, mut work) = GptWork::<A>::new(config, set, init, device)?;
+                run::<A, _>(&plan, &mut work, device, self.limits, self.output)
+            }
         }
-        Stage::Velocity => {
-            let (plan, mut work) = VelocityWork::<A>::new(config, set, &device)?;
-            run::<A, _>(&plan, &mut work, &device, limits, output)
-        }
-        Stage::Gpt => {
-            let (plan, mut work) = GptWork::<A>::new(config, set, init, &device)?;
-            run::<A, _>(&plan, &mut work, &device, limits, output)
-        }
+    }
+}
+
+struct RewardJob<'a, O> {
+    config: &'a Config,
+    task: Task<'a>,
+    policy: Policy,
+    songs: &'a [Song],
+    init: Option<&'a Path>,
+    limits: Limits,
+    output: &'a mut O,
+}
+
+impl<O: Write> Job for RewardJob<'_, O> {
+    fn run_on<A: AutodiffBackend>(self, device: &A::Device) -> Result<Outcome, TrainError> {
+        let (plan, mut work) = ActorCriticWork::<A>::new(
+            self.config,
+            self.task,
+            self.policy,
+            self.songs,
+            self.init,
+            device,
+        )?;
+        run::<A, _>(&plan, &mut work, device, self.limits, self.output)
     }
 }

@@ -1,21 +1,13 @@
 //! Stage `export`: the trained parts as a model directory.
 
-use std::collections::BTreeMap;
+use std::path::Path;
 
 use bailando::model::Manifest;
 use burn_flex::{Flex, FlexDevice};
 
-use super::{
-    Config, TrainError,
-    gpt::{MusicScale, random},
-    runner::{WEIGHT, checkpoint_path},
-    saved::Saved,
-    velocity::root,
-    vqvae::Trained,
-};
+use super::{Config, TrainError, decode::trained_root, policy::Policy, vqvae::Trained};
 use crate::{
     export::{Description, write_model_directory},
-    nn::{GptNet, Store},
     weights::{GptWeights, HalfWeights, VqVaeWeights},
 };
 
@@ -24,27 +16,45 @@ use crate::{
 /// # Errors
 /// [`TrainError::StageMissing`] where a stage is not finished; what cannot be read or written.
 pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
-    let (vqvae, gpt, start_codes) = trained_weights(config)?;
+    write(
+        config,
+        &config.export.folder,
+        Policy::latest(config)?,
+        replace,
+        [],
+    )
+}
+
+/// Writes a model directory with any policy; `facts` say more on its training.
+pub(super) fn write<const N: usize>(
+    config: &Config,
+    folder: &Path,
+    policy: Policy,
+    replace: bool,
+    facts: [(&str, serde_json::Value); N],
+) -> Result<Manifest, TrainError> {
     let training = [
         ("seed", config.run.seed.into()),
         ("data", config.data.folder.display().to_string().into()),
     ];
+    let training = training.into_iter().chain(facts);
     let description = Description {
         name: config.export.name.clone(),
         licence: config.export.licence.clone(),
         profile: config.data.profile,
-        start_codes,
+        start_codes: policy.starts.clone(),
         temperature: config.export.temperature,
         root_height: config.export.root_height,
         weights: config.export.weights,
-        training: BTreeMap::from(training.map(|(name, value)| (name.to_owned(), value))),
+        training: training
+            .map(|(name, value)| (name.to_owned(), value))
+            .collect(),
     };
-    let folder = &config.export.folder;
     Ok(write_model_directory(
         folder,
         replace,
-        &gpt,
-        &vqvae,
+        &policy.weights(),
+        &vqvae_weights(config)?,
         &description,
     )?)
 }
@@ -56,6 +66,11 @@ pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
 pub fn trained_weights(
     config: &Config,
 ) -> Result<(VqVaeWeights, GptWeights, Vec<[u32; 2]>), TrainError> {
+    let policy = Policy::latest(config)?;
+    Ok((vqvae_weights(config)?, policy.weights(), policy.starts))
+}
+
+fn vqvae_weights(config: &Config) -> Result<VqVaeWeights, TrainError> {
     let trained = Trained::<Flex>::read(config, &FlexDevice)?;
     let store = &trained.halves.store;
     let [upper_net, lower_net] = &trained.halves.nets;
@@ -68,55 +83,10 @@ pub fn trained_weights(
             decoder: net.decoder.weights(store),
         }
     };
-    let (root, root_store) = root(config);
-    let (_, root_store) = finished(config, "velocity", |_| Ok(root_store))?;
-    let vqvae = VqVaeWeights {
+    let (root, root_store) = trained_root(config)?;
+    Ok(VqVaeWeights {
         upper: half(upper_net, upper_codes),
         lower: half(lower_net, lower_codes),
         root: root.weights(&root_store),
-    };
-    let mut net = None;
-    let (saved, store) = finished(config, "gpt", |saved| {
-        let mut store = Store::default();
-        let columns = saved.tensor("music.mean")?.dim(0);
-        net = Some(GptNet::new(&random(config, columns), &mut store));
-        Ok(store)
-    })?;
-    let failed = |message: String| TrainError::State {
-        path: checkpoint_path(&config.run, "gpt"),
-        message,
-    };
-    let net = net.ok_or_else(|| failed("no network".into()))?;
-    let mut gpt = net.weights(&store);
-    let column = |name| {
-        saved
-            .tensor(name)
-            .map(|tensor| tensor.data().to_vec())
-            .map_err(failed)
-    };
-    let scale = MusicScale {
-        mean: column("music.mean")?,
-        spread: column("music.spread")?,
-    };
-    gpt.music = scale.fold(&gpt.music);
-    let starts = column("start_codes")?;
-    let pairs = starts.as_chunks::<2>().0.iter();
-    let pairs = pairs.map(|pair| pair.map(|code| code as u32)).collect();
-    Ok((vqvae, gpt, pairs))
-}
-
-/// The checkpoint of a finished stage, and its weights in the shape of a plan.
-fn finished(
-    config: &Config,
-    stage: &'static str,
-    plan: impl FnOnce(&Saved) -> Result<Store, String>,
-) -> Result<(Saved, Store), TrainError> {
-    let path = checkpoint_path(&config.run, stage);
-    let saved = Saved::read(&path)?.filter(|saved| saved.fact("finished") == "true");
-    let Some(saved) = saved else {
-        return Err(TrainError::StageMissing { stage, path });
-    };
-    let store = plan(&saved).and_then(|store| saved.fill(WEIGHT, &store));
-    let store = store.map_err(|message| TrainError::State { path, message })?;
-    Ok((saved, store))
+    })
 }

@@ -27,6 +27,11 @@ pub(super) trait Work<A: AutodiffBackend> {
     const COLUMNS: &'static [&'static str];
     /// The loss to follow downhill, and the metrics, one number each.
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A>;
+    /// How many earlier steps moved the weights that `step` moves: what Adam corrects its averages
+    /// for.
+    fn earlier_updates(&self, step: u64) -> u64 {
+        step
+    }
     /// Takes what it keeps beside weights into a checkpoint.
     fn save(&self, saved: &mut Saved);
     /// And back.
@@ -205,8 +210,9 @@ impl<A: AutodiffBackend> State<A> {
         let tensors = tracked.tensors().iter();
         let mut gradients: Vec<_> = tensors.map(|t| t.grad_remove(&mut gradients)).collect();
         clip(&mut gradients, training.clip);
+        let earlier = work.earlier_updates(self.step);
         self.adam
-            .step(self.parameters.tensors_mut(), gradients, rate, self.step);
+            .step(self.parameters.tensors_mut(), gradients, rate, earlier);
         for (sum, value) in self.sums.iter_mut().zip(metrics) {
             *sum = sum.clone() + value;
         }

@@ -9,7 +9,7 @@ use std::{
 
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
-use super::TrainError;
+use super::{TrainError, config::RunConfig, runner::checkpoint_path};
 use crate::{Tensor, nn::Store};
 
 /// Where the facts are in the file's metadata, as JSON.
@@ -36,6 +36,13 @@ impl Saved {
                 path: path.to_owned(),
                 message,
             })
+    }
+
+    /// The checkpoint of a finished stage.
+    pub(super) fn finished(run: &RunConfig, stage: &'static str) -> Result<Self, TrainError> {
+        let path = checkpoint_path(run, stage);
+        let saved = Self::read(&path)?.filter(|saved| saved.fact("finished") == "true");
+        saved.ok_or(TrainError::StageMissing { stage, path })
     }
 
     fn parse(bytes: &[u8]) -> Result<Self, String> {

@@ -1,4 +1,4 @@
-//! The motion GPT (ARCHITECTURE section 3): state network and policy. The critic is left out.
+//! The motion GPT (ARCHITECTURE section 3): state network, policy, and critic.
 
 use super::{
     WeightError,
@@ -74,6 +74,42 @@ pub struct GptWeights {
     pub heads: usize,
 }
 
+/// Weights of the critic, which stands on the state network beside the policy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CriticWeights {
+    /// Its blocks.
+    pub blocks: Vec<Block>,
+    /// After the last block.
+    pub final_norm: LayerNorm,
+    /// Channels to the upper half's value, `[1, channels]`.
+    pub upper_value: Tensor,
+    /// Channels to the lower half's value, `[1, channels]`.
+    pub lower_value: Tensor,
+    /// Attention heads.
+    pub heads: usize,
+}
+
+impl CriticWeights {
+    /// Takes the critic out of an official checkpoint with `heads` attention heads.
+    ///
+    /// # Errors
+    /// [`WeightError`] names the first tensor that is missing or does not fit the others.
+    pub fn from_checkpoint(checkpoint: &mut Checkpoint, heads: usize) -> Result<Self, WeightError> {
+        let mut source = Source::new(checkpoint);
+        let upper_value = source.take("critic_net.head_up.weight", &[Is(1), Any("channels")])?;
+        let channels = upper_value.dim(1);
+        let lower_value = source.take("critic_net.head_down.weight", &[Is(1), Is(channels)])?;
+        check_heads(&source, channels, heads)?;
+        Ok(Self {
+            blocks: blocks(&mut source, "critic_net", channels)?,
+            final_norm: layer_norm(&mut source, "critic_net.ln_f", channels)?,
+            upper_value,
+            lower_value,
+            heads,
+        })
+    }
+}
+
 impl GptWeights {
     /// Takes the weights out of an official checkpoint with `heads` attention heads.
     ///
@@ -86,13 +122,7 @@ impl GptWeights {
             &[Any("vocabulary"), Any("channels")],
         )?;
         let channels = upper_embedding.dim(1);
-        if heads == 0 || !channels.is_multiple_of(heads) {
-            return Err(WeightError::Heads {
-                path: source.path().to_owned(),
-                channels,
-                heads,
-            });
-        }
+        check_heads(&source, channels, heads)?;
         let lower_embedding = source.take(
             "gpt_base.tok_emb_down.weight",
             &[Any("vocabulary"), Is(channels)],
@@ -147,6 +177,17 @@ impl GptWeights {
     pub fn head_size(&self) -> usize {
         self.channels() / self.heads.max(1)
     }
+}
+
+fn check_heads(source: &Source<'_>, channels: usize, heads: usize) -> Result<(), WeightError> {
+    if heads > 0 && channels.is_multiple_of(heads) {
+        return Ok(());
+    }
+    Err(WeightError::Heads {
+        path: source.path().to_owned(),
+        channels,
+        heads,
+    })
 }
 
 /// The position table without its leading dimension of 1.

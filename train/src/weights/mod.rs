@@ -5,7 +5,7 @@ mod gpt;
 mod source;
 mod vqvae;
 
-pub use gpt::{Block, GptWeights, LayerNorm, Linear};
+pub use gpt::{Block, CriticWeights, GptWeights, LayerNorm, Linear};
 pub use vqvae::{
     Convolution, DecoderLevel, DecoderWeights, EncoderLevel, EncoderWeights, HALF_JOINTS,
     HalfWeights, ResidualBlock, VqVaeWeights,

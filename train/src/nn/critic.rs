@@ -1,0 +1,76 @@
+//! The critic (ARCHITECTURE section 3, paper `f_v`): how much reward is still to come in a state.
+
+use burn_tensor::{Tensor as Device, backend::Backend};
+
+use super::{
+    parameters::{Parameters, Slot, Store},
+    transformer::{Attention, BlockNet, NormNet, STREAMS, multiplied},
+};
+use crate::weights::CriticWeights;
+
+/// The network's plan; it takes in what [`super::GptNet::states`] gives.
+#[derive(Clone, Debug)]
+pub struct CriticNet {
+    blocks: Vec<BlockNet>,
+    final_norm: NormNet,
+    upper_value: Slot,
+    lower_value: Slot,
+    heads: usize,
+}
+
+impl CriticNet {
+    /// Plans the network and appends its weights to `store`.
+    #[must_use]
+    pub fn new(weights: &CriticWeights, store: &mut Store) -> Self {
+        let blocks = weights.blocks.iter().enumerate();
+        let blocks = blocks
+            .map(|(index, block)| BlockNet::new(&format!("critic.blocks.{index}"), block, store));
+        let blocks = blocks.collect();
+        let final_norm = NormNet::new("critic.final_norm", &weights.final_norm, store);
+        let mut map = |name: &str, weights: &crate::Tensor| {
+            store.push(format!("critic.{name}"), weights.transposed())
+        };
+        Self {
+            blocks,
+            final_norm,
+            upper_value: map("upper_value", &weights.upper_value),
+            lower_value: map("lower_value", &weights.lower_value),
+            heads: weights.heads,
+        }
+    }
+
+    /// The weights as they are in `store`.
+    #[must_use]
+    pub fn weights(&self, store: &Store) -> CriticWeights {
+        let blocks = self.blocks.iter();
+        CriticWeights {
+            blocks: blocks.map(|block| block.weights(store)).collect(),
+            final_norm: self.final_norm.weights(store),
+            upper_value: store.get(self.upper_value).transposed(),
+            lower_value: store.get(self.lower_value).transposed(),
+            heads: self.heads,
+        }
+    }
+
+    /// Values of `[batch, 3 * steps, channels]` states, `[batch, steps]`: upper value + lower value.
+    pub fn forward<B: Backend>(
+        &self,
+        parameters: &Parameters<B>,
+        states: Device<B, 3>,
+    ) -> Device<B, 2> {
+        let [batch, tokens, _] = states.dims();
+        let steps = tokens / STREAMS;
+        let context = Attention::new(self.heads, steps, 0.0, parameters.device());
+        let blocks = self.blocks.iter();
+        let hidden = blocks.fold(states, |hidden, block| {
+            block.forward(parameters, hidden, &context)
+        });
+        let hidden = self.final_norm.forward(parameters, hidden);
+        let value = |slot, stream: usize| {
+            let rows = hidden.clone().narrow(1, stream * steps, steps);
+            multiplied(rows, parameters.matrix(slot))
+        };
+        let value = value(self.upper_value, 1) + value(self.lower_value, 2);
+        value.reshape([batch, steps])
+    }
+}

@@ -1,0 +1,103 @@
+//! Stage `adapt`, "choreograph in the wild" (paper section 3.3): the policy learns on from the
+//! rewards of one song, for which there is no dance.
+
+use std::{
+    fs::File,
+    io::Write,
+    path::{Path, PathBuf},
+};
+
+use bailando::model::{Manifest, file_sha256};
+
+use super::{
+    Config, Limits, Outcome, Song, TrainError,
+    actor_critic::Task,
+    config::{ActorCriticConfig, RunConfig},
+    device::learn_from_rewards,
+    export,
+    policy::Policy,
+};
+
+const STAGE: &str = "adapt";
+/// Digits of the song's hash in its folder's name.
+const DIGITS: usize = 16;
+
+/// A song to adapt to, and where the stage's files are.
+pub struct Adaptation {
+    /// What is danced to.
+    pub song: Song,
+    /// `run.folder/adapted/<hash of the audio file>`: the same file goes on where it was left,
+    /// whatever its name.
+    pub folder: PathBuf,
+    /// Name of the audio file.
+    pub name: String,
+}
+
+impl Adaptation {
+    /// Of the audio file `path`, whose features are `song`.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] if it cannot be read.
+    pub fn new(config: &Config, path: &Path, song: Song) -> Result<Self, TrainError> {
+        let hash = File::open(path).and_then(|mut file| file_sha256(&mut file));
+        let hash = hash.map_err(TrainError::file(path))?;
+        let digits: String = hash.chars().take(DIGITS).collect();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        Ok(Self {
+            song,
+            folder: config.run.folder.join("adapted").join(digits),
+            name: name.into_owned(),
+        })
+    }
+
+    fn run(&self, config: &Config) -> RunConfig {
+        RunConfig {
+            folder: self.folder.clone(),
+            ..config.run.clone()
+        }
+    }
+}
+
+/// Adapts the run's latest policy to a song. `init` is an official checkpoint whose critic is the
+/// first.
+///
+/// # Errors
+/// Any [`TrainError`]; the last checkpoint stays.
+pub fn adapt(
+    config: &Config,
+    adaptation: &Adaptation,
+    init: Option<&Path>,
+    limits: Limits,
+    output: &mut impl Write,
+) -> Result<Outcome, TrainError> {
+    let run = adaptation.run(config);
+    let stage = ActorCriticConfig {
+        pieces_per_epoch: config.adapt.pieces_per_epoch,
+        codes: config.adapt.codes,
+        training: config.adapt.training.clone(),
+        ..config.actor_critic.clone()
+    };
+    let task = Task {
+        name: STAGE,
+        run: &run,
+        stage: &stage,
+    };
+    let policy = Policy::latest(config)?;
+    let songs = std::slice::from_ref(&adaptation.song);
+    learn_from_rewards(config, task, policy, songs, init, limits, output)
+}
+
+/// Writes the model directory of a finished adaptation.
+///
+/// # Errors
+/// [`TrainError::StageMissing`] where it is not finished; what cannot be read or written.
+pub fn export_adapted(
+    config: &Config,
+    adaptation: &Adaptation,
+    folder: &Path,
+    replace: bool,
+) -> Result<Manifest, TrainError> {
+    let policy = Policy::read(config, &adaptation.run(config), STAGE)?;
+    let facts = [("adapted_to", adaptation.name.clone().into())];
+    export::write(config, folder, policy, replace, facts)
+}

@@ -1,0 +1,126 @@
+//! The motion GPT as a finished stage left it: what `actor-critic`, `adapt` and `export` start from.
+
+use ndarray::Array2;
+
+use super::{
+    Config, TrainError,
+    config::RunConfig,
+    gpt::{MusicScale, random},
+    runner::{WEIGHT, checkpoint_path},
+    saved::Saved,
+};
+use crate::{
+    Tensor,
+    nn::{CriticNet, GptNet, Store, random_critic},
+    weights::{CriticWeights, GptWeights},
+};
+
+/// A generator's seed for the critic's first weights.
+const CRITIC_SEED: u64 = 0x6372_6974;
+
+/// State network and policy, and what belongs to them.
+pub(super) struct Policy {
+    pub(super) net: GptNet,
+    pub(super) store: Store,
+    pub(super) scale: MusicScale,
+    /// Pairs of upper and lower codes that training pieces begin with.
+    pub(super) starts: Vec<[u32; 2]>,
+    /// The critic that learned beside it, where one did.
+    pub(super) critic: Option<CriticWeights>,
+}
+
+impl Policy {
+    /// That of stage `gpt`.
+    pub(super) fn of_gpt(config: &Config) -> Result<Self, TrainError> {
+        Self::read(config, &config.run, "gpt")
+    }
+
+    /// That of `actor-critic` where the run has that stage and it is finished, else of `gpt`.
+    pub(super) fn latest(config: &Config) -> Result<Self, TrainError> {
+        if config.actor_critic.enabled {
+            match Self::read(config, &config.run, "actor-critic") {
+                Err(TrainError::StageMissing { .. }) => {}
+                other => return other,
+            }
+        }
+        Self::of_gpt(config)
+    }
+
+    /// That of any stage in any run's folder.
+    pub(super) fn read(
+        config: &Config,
+        run: &RunConfig,
+        stage: &'static str,
+    ) -> Result<Self, TrainError> {
+        let saved = Saved::finished(run, stage)?;
+        Self::restore(config, &saved).map_err(|message| TrainError::State {
+            path: checkpoint_path(run, stage),
+            message,
+        })
+    }
+
+    fn restore(config: &Config, saved: &Saved) -> Result<Self, String> {
+        let scale = MusicScale {
+            mean: saved.tensor("music.mean")?.data().to_vec(),
+            spread: saved.tensor("music.spread")?.data().to_vec(),
+        };
+        let mut store = Store::default();
+        let net = GptNet::new(&random(config, scale.mean.len()), &mut store);
+        let pairs = saved.tensor("start_codes")?.data().as_chunks::<2>().0;
+        let pairs = pairs.iter().map(|pair| pair.map(|code| code as u32));
+        let mut critic_store = Store::default();
+        let critic = CriticNet::new(&first_critic(config), &mut critic_store);
+        let critic_store = saved.fill(WEIGHT, &critic_store).ok();
+        Ok(Self {
+            net,
+            store: saved.fill(WEIGHT, &store)?,
+            scale,
+            starts: pairs.collect(),
+            critic: critic_store.map(|store| critic.weights(&store)),
+        })
+    }
+
+    /// Takes what belongs to the weights into a checkpoint that [`Policy::read`] understands.
+    pub(super) fn save(&self, saved: &mut Saved) {
+        let starts: Vec<f32> = self
+            .starts
+            .concat()
+            .iter()
+            .map(|&code| code as f32)
+            .collect();
+        let tensors = [
+            ("music.mean", vec![self.scale.mean.len()], &self.scale.mean),
+            (
+                "music.spread",
+                vec![self.scale.spread.len()],
+                &self.scale.spread,
+            ),
+            ("start_codes", vec![self.starts.len(), 2], &starts),
+        ];
+        for (name, shape, values) in tensors {
+            let tensor = Tensor::from_fn(shape, |place| values[place]);
+            saved.tensors.insert(name.into(), tensor);
+        }
+    }
+
+    /// Music rows as the weights in the store take them.
+    pub(super) fn scaled(&self, rows: &Array2<f32>) -> Array2<f32> {
+        Array2::from_shape_fn(rows.dim(), |(row, column)| {
+            (rows[[row, column]] - self.scale.mean[column]) / self.scale.spread[column]
+        })
+    }
+
+    /// The weights for plain features: the scale is folded in.
+    pub(super) fn weights(&self) -> GptWeights {
+        let mut weights = self.net.weights(&self.store);
+        weights.music = self.scale.fold(&weights.music);
+        weights
+    }
+}
+
+/// A critic of the configured size that knows nothing.
+pub(super) fn first_critic(config: &Config) -> CriticWeights {
+    let layers = config.actor_critic.critic_layers;
+    let seed = config.run.seed ^ CRITIC_SEED;
+    random_critic(config.gpt.channels, config.gpt.heads, layers, seed)
+}

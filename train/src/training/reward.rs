@@ -1,0 +1,255 @@
+//! What a generated dance is worth, code by code (paper Eq. 12-14, ARCHITECTURE section 6).
+
+use bailando::{
+    evaluation::{Pose, dance_beats, speed},
+    motion::Positions,
+};
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use super::FRAMES_PER_CODE;
+
+/// SMPL joints that the consistency of the halves is read from.
+const LEFT_KNEE: usize = 4;
+const RIGHT_KNEE: usize = 5;
+const LEFT_COLLAR: usize = 13;
+const RIGHT_COLLAR: usize = 14;
+
+/// Which beat reward.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BeatReward {
+    /// Eq. 13: -1 for a code with a music beat but no dance beat, else 1.
+    Paper,
+    /// Of the published program: 1 for a code with a music beat and a dance beat, else -1. Five
+    /// times this is its `(music beat x dance beat - 0.5) x 10`.
+    Reference,
+}
+
+/// How rewards are weighed: `beat_weight * R_b + consistency_weight * R_c` (Eq. 12).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RewardRule {
+    /// Which `R_b`.
+    pub beat: BeatReward,
+    /// Weight of `R_b`.
+    pub beat_weight: f64,
+    /// Weight of `R_c`.
+    pub consistency_weight: f64,
+}
+
+/// The reward of one code.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reward {
+    /// The weighted sum.
+    pub total: f64,
+    /// `R_b`: do the 8 frames follow the beat?
+    pub beat: f64,
+    /// `R_c` (Eq. 14): do both halves face the same way?
+    pub consistency: f64,
+}
+
+impl RewardRule {
+    /// Rewards of the codes of a whole piece: 8 frames of world positions each, `music_beats` by
+    /// frame (frames beyond its end have none).
+    ///
+    /// A dance beat is a minimum of smoothed speed, which reaches over 20 frames either way: it is
+    /// found in the whole piece, never in 8 frames by themselves. Both programs ask what the 8
+    /// frames hold, so beats need not fall on the same frame.
+    #[must_use]
+    pub fn rewards(&self, positions: &Positions, music_beats: &[bool]) -> Vec<Reward> {
+        let poses = poses(positions);
+        let mut dance = vec![false; poses.len()];
+        for beat in dance_beats(&speed(&poses)) {
+            dance[beat] = true;
+        }
+        let codes = poses.chunks(FRAMES_PER_CODE).enumerate();
+        let rewards = codes.map(|(code, poses)| {
+            let first = code * FRAMES_PER_CODE;
+            let holds = |beats: &[bool]| {
+                let frames = beats.iter().skip(first).take(poses.len());
+                frames.copied().any(|beat| beat)
+            };
+            let beat = self.beat.of(holds(music_beats), holds(&dance));
+            self.weighed(beat, consistency(poses))
+        });
+        rewards.collect()
+    }
+
+    fn weighed(&self, beat: f64, consistency: f64) -> Reward {
+        Reward {
+            total: self.beat_weight * beat + self.consistency_weight * consistency,
+            beat,
+            consistency,
+        }
+    }
+}
+
+impl BeatReward {
+    fn of(self, music: bool, dance: bool) -> f64 {
+        let good = match self {
+            Self::Paper => dance || !music,
+            Self::Reference => dance && music,
+        };
+        if good { 1.0 } else { -1.0 }
+    }
+}
+
+/// Eq. 14: the smallest product of the halves' facings over the frames where it is negative, else 1.
+fn consistency(poses: &[Pose]) -> f64 {
+    let products = poses.iter().map(facing_product);
+    let smallest = products.fold(f64::INFINITY, f64::min);
+    if smallest < 0.0 { smallest } else { 1.0 }
+}
+
+/// The floor-plane normals of upper and lower body, multiplied. Published with both multiplied by
+/// the sign of `u . (head - neck)`; one sign for both leaves their product as it is.
+fn facing_product(pose: &Pose) -> f64 {
+    let from_root = |joint: usize| pose[joint] - pose[0];
+    // On the floor, and not normalised again: a half that lies flat hardly counts.
+    let normal = |a: usize, b: usize| {
+        let cross = from_root(a).cross(from_root(b)).normalize_or_zero();
+        DVec3::new(cross.x, 0.0, cross.z)
+    };
+    let upper = normal(RIGHT_COLLAR, LEFT_COLLAR);
+    upper.dot(normal(LEFT_KNEE, RIGHT_KNEE))
+}
+
+fn poses(positions: &Positions) -> Vec<Pose> {
+    let frames = positions.outer_iter();
+    let pose = |frame: ndarray::ArrayView2<'_, f32>| -> Pose {
+        std::array::from_fn(|joint| {
+            let axis = |axis| {
+                frame
+                    .get((joint, axis))
+                    .copied()
+                    .map_or(f64::NAN, f64::from)
+            };
+            DVec3::new(axis(0), axis(1), axis(2))
+        })
+    };
+    frames.map(pose).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An upright body, turned about y; the lower half turned further.
+    fn pose(facing: f64, twist: f64) -> Pose {
+        let turned = |x: f64, y: f64, z: f64, angle: f64| {
+            let (sin, cos) = angle.sin_cos();
+            DVec3::new(cos * x + sin * z, y, cos * z - sin * x)
+        };
+        std::array::from_fn(|joint| {
+            let place = match joint {
+                LEFT_KNEE => turned(0.1, -0.4, 0.05, facing + twist),
+                RIGHT_KNEE => turned(-0.1, -0.4, 0.02, facing + twist),
+                LEFT_COLLAR => turned(0.08, 0.4, 0.01, facing),
+                RIGHT_COLLAR => turned(-0.07, 0.41, 0.0, facing),
+                12 => turned(0.0, 0.5, 0.0, facing),
+                15 => turned(0.0, 0.6, 0.08, facing),
+                _ => DVec3::ZERO,
+            };
+            place + DVec3::new(3.0, 0.9, -2.0)
+        })
+    }
+
+    /// ARCHITECTURE section 6, word by word.
+    fn by_the_word(pose: &Pose) -> f64 {
+        let p = |joint: usize| pose[joint] - pose[0];
+        let u = p(14).cross(p(13)).normalize();
+        let l = p(4).cross(p(5)).normalize();
+        let sign = u.dot(p(15) - p(12)).signum();
+        let flat = |v: DVec3| DVec3::new(sign * v.x, 0.0, sign * v.z);
+        flat(u).dot(flat(l))
+    }
+
+    #[test]
+    fn facing_is_as_defined() {
+        for facing in [0.0, 1.0, 4.0] {
+            for twist in [0.0, 0.8, 2.0, 3.1] {
+                let pose = pose(facing, twist);
+                let found = facing_product(&pose);
+                assert!((found - by_the_word(&pose)).abs() < 1e-12);
+                // Nearly upright: the cosine of the twist.
+                assert!((found - twist.cos()).abs() < 0.1, "{found} {twist}");
+            }
+        }
+        assert_eq!(facing_product(&[DVec3::ONE; 24]), 0.0);
+    }
+
+    #[test]
+    fn consistency_is_the_worst_frame_if_that_is_bad() {
+        let mut poses = [pose(0.3, 0.2); 8];
+        assert_eq!(consistency(&poses), 1.0);
+        poses[5] = pose(0.3, 2.5);
+        poses[6] = pose(0.3, 2.0);
+        assert_eq!(consistency(&poses), by_the_word(&poses[5]));
+        poses[5] = pose(0.3, 1.2);
+        assert_eq!(consistency(&poses), by_the_word(&poses[6]));
+    }
+
+    #[test]
+    fn beat_rewards_are_as_defined() {
+        let cases = [(false, false), (false, true), (true, false), (true, true)];
+        let paper = cases.map(|(music, dance)| BeatReward::Paper.of(music, dance));
+        assert_eq!(paper, [1.0, 1.0, -1.0, 1.0]);
+        for (music, dance) in cases {
+            let product = f64::from(u8::from(music && dance));
+            let found = 5.0 * BeatReward::Reference.of(music, dance);
+            assert_eq!(found, (product - 0.5) * 10.0);
+        }
+    }
+
+    /// Everything moves along x with a speed that is slowest at frames 20, 60, 100, ..
+    fn dance(frames: usize) -> Positions {
+        let still = pose(0.0, 0.0);
+        let mut moved = 0.0;
+        let mut places = Positions::zeros((frames, 24, 3));
+        for (frame, mut row) in places.outer_iter_mut().enumerate() {
+            for (joint, mut cell) in row.outer_iter_mut().enumerate() {
+                let place = still[joint] + DVec3::new(moved, 0.0, 0.0);
+                for (axis, value) in cell.iter_mut().enumerate() {
+                    *value = place[axis] as f32;
+                }
+            }
+            let phase = std::f64::consts::TAU * (frame as f64 - 20.0) / 40.0;
+            moved += 0.02 * (1.5 - phase.cos());
+        }
+        places
+    }
+
+    #[test]
+    fn rewards_are_those_of_the_whole_piece() {
+        let positions = dance(160);
+        let beats = |at: &[usize]| {
+            let mut beats = vec![false; 150];
+            at.iter().for_each(|&frame| beats[frame] = true);
+            beats
+        };
+        let rule = RewardRule {
+            beat: BeatReward::Paper,
+            beat_weight: 5.0,
+            consistency_weight: 1.0,
+        };
+        // Dance beats are in the codes of frames 20 (code 2), 60 (7), 100 (12) and 140 (17).
+        let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
+        assert_eq!(rewards.len(), 20);
+        for (code, reward) in rewards.iter().enumerate() {
+            let missed = code == 5 || code == 13;
+            let beat = if missed { -1.0 } else { 1.0 };
+            assert_eq!((reward.beat, reward.consistency), (beat, 1.0), "{code}");
+            assert_eq!(reward.total, 5.0 * beat + 1.0);
+        }
+        let rule = RewardRule {
+            beat: BeatReward::Reference,
+            beat_weight: 5.0,
+            consistency_weight: 0.0,
+        };
+        let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
+        let good = rewards.iter().enumerate().filter(|(_, r)| r.total == 5.0);
+        assert_eq!(good.map(|(code, _)| code).collect::<Vec<_>>(), [2, 7]);
+        assert!(rewards.iter().all(|reward| reward.total.abs() == 5.0));
+        assert!(rule.rewards(&dance(0), &[]).is_empty());
+    }
+}

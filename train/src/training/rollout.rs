@@ -1,0 +1,264 @@
+//! What an epoch of `actor-critic` learns from: pieces by the policy as it was at the epoch's
+//! start, and their rewards (ARCHITECTURE section 6).
+
+use burn_tensor::backend::Backend;
+use ndarray::{ArrayView2, Axis, Slice};
+use rand_chacha::rand_core::Rng;
+
+use super::{
+    FRAMES_PER_CODE,
+    decode::DanceDecoder,
+    reward::RewardRule,
+    sampling::{Sampler, Wish, unit},
+    saved::Saved,
+    songs::Song,
+    windows::generator,
+};
+use crate::Tensor;
+
+/// A generator's seed for each purpose.
+const EXCERPTS: u64 = 0x6578_6370;
+const PIECES: u64 = 0x7069_6563;
+const ORDER: u64 = 0x6f72_6465;
+/// Names in checkpoints.
+const EPOCH: &str = "rollout.epoch";
+const CODES: &str = "rollout.codes";
+const REWARDS: &str = "rollout.rewards";
+
+/// What is generated in every epoch.
+pub(super) struct Repertoire {
+    /// Scaled rows, and beats.
+    pub(super) songs: Vec<Song>,
+    /// Pieces of an epoch.
+    pub(super) pieces: usize,
+    /// Longest piece in codes.
+    pub(super) codes: usize,
+    /// States of a window.
+    pub(super) block: usize,
+    pub(super) seed: u64,
+}
+
+/// The part of a song that a piece is made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Excerpt {
+    song: usize,
+    /// First row of music, and first code.
+    first: usize,
+    codes: usize,
+}
+
+/// A generated piece.
+pub(super) struct Episode {
+    pub(super) excerpt: Excerpt,
+    /// Upper and lower codes.
+    pub(super) codes: [Vec<i32>; 2],
+    /// Total, `R_b` and `R_c` of every code.
+    pub(super) rewards: Vec<[f32; 3]>,
+}
+
+/// The pieces of an epoch, and the order in which their windows are learned from.
+pub(super) struct Rollout {
+    pub(super) epoch: u64,
+    pub(super) episodes: Vec<Episode>,
+    /// A piece and a window's first code each.
+    windows: Vec<(usize, usize)>,
+}
+
+impl Repertoire {
+    /// Codes that a song allows: each needs the row of music beside it, one later.
+    fn longest(&self, song: &Song) -> usize {
+        song.rows.nrows().saturating_sub(1).min(self.codes)
+    }
+
+    /// Leaves out songs that are too short for a window.
+    pub(super) fn keep_usable(&mut self) {
+        let mut songs = std::mem::take(&mut self.songs);
+        songs.retain(|song| self.longest(song) >= self.block);
+        self.songs = songs;
+    }
+
+    /// Windows of an epoch, as many as its pieces have on average.
+    pub(super) fn windows(&self) -> usize {
+        let songs = self.songs.iter();
+        let all: usize = songs.map(|song| self.longest(song) - self.block + 1).sum();
+        (all * self.pieces).div_ceil(self.songs.len().max(1))
+    }
+
+    /// Which parts of which songs an epoch is about: songs in a random order, again from the start
+    /// where there are fewer than pieces, each from a random row on.
+    pub(super) fn excerpts(&self, epoch: u64) -> Vec<Excerpt> {
+        let mut random = generator(self.seed ^ EXCERPTS, epoch);
+        let order = shuffled((0..self.songs.len()).collect(), &mut random);
+        let songs = order.iter().cycle().take(self.pieces);
+        let excerpts = songs.map(|&song| {
+            let codes = self.longest(&self.songs[song]);
+            let spare = self.songs[song].rows.nrows() - 1 - codes;
+            let first = (unit(&mut random) * (spare + 1) as f64) as usize;
+            Excerpt { song, first, codes }
+        });
+        excerpts.collect()
+    }
+
+    /// Scaled music of an excerpt: row `k + 1` is beside code `k`.
+    pub(super) fn music(&self, excerpt: Excerpt) -> ArrayView2<'_, f32> {
+        let rows = excerpt.first..excerpt.first + excerpt.codes + 1;
+        self.songs[excerpt.song]
+            .rows
+            .slice_axis(Axis(0), Slice::from(rows))
+    }
+
+    fn beats(&self, excerpt: Excerpt) -> &[bool] {
+        let beats = &self.songs[excerpt.song].beats;
+        beats
+            .get(excerpt.first * FRAMES_PER_CODE..)
+            .unwrap_or_default()
+    }
+
+    /// Generates and judges the pieces of an epoch, `batch` at a time; a start is one of `starts`.
+    pub(super) fn roll_out<B: Backend>(
+        &self,
+        epoch: u64,
+        sampler: &Sampler<'_, B>,
+        starts: &[[u32; 2]],
+        batch: usize,
+        judge: &Judge<B>,
+    ) -> Rollout {
+        let excerpts = self.excerpts(epoch);
+        let wishes = excerpts.iter().enumerate().map(|(piece, &excerpt)| {
+            let mut random = generator(self.seed ^ PIECES, epoch << 32 | piece as u64);
+            let start = (unit(&mut random) * starts.len() as f64) as usize;
+            let start = starts.get(start).copied().unwrap_or_default();
+            Wish {
+                music: self.music(excerpt),
+                start: start.map(|code| code as i32),
+                random,
+            }
+        });
+        let mut wishes = wishes.peekable();
+        let mut codes = Vec::with_capacity(excerpts.len());
+        while wishes.peek().is_some() {
+            codes.extend(sampler.generate(wishes.by_ref().take(batch).collect()));
+        }
+        let episodes = excerpts
+            .into_iter()
+            .zip(codes)
+            .map(|(excerpt, codes)| Episode {
+                rewards: judge.rewards(&codes, self.beats(excerpt)),
+                excerpt,
+                codes,
+            });
+        self.arranged(epoch, episodes.collect())
+    }
+
+    fn arranged(&self, epoch: u64, episodes: Vec<Episode>) -> Rollout {
+        let windows = episodes.iter().enumerate().flat_map(|(piece, episode)| {
+            let starts = 0..=episode.excerpt.codes - self.block;
+            starts.map(move |start| (piece, start))
+        });
+        let mut random = generator(self.seed ^ ORDER, epoch);
+        Rollout {
+            epoch,
+            windows: shuffled(windows.collect(), &mut random),
+            episodes,
+        }
+    }
+
+    /// The opposite of [`Rollout::save`].
+    pub(super) fn restore(&self, saved: &Saved) -> Result<Option<Rollout>, String> {
+        let Ok(epoch) = saved.tensor(EPOCH) else {
+            return Ok(None);
+        };
+        let epoch = epoch.data().first().map_or(0, |&epoch| epoch as u64);
+        let mut codes = saved.tensor(CODES)?.data().as_chunks::<2>().0.iter();
+        let mut rewards = saved.tensor(REWARDS)?.data().as_chunks::<3>().0.iter();
+        let episodes = self.excerpts(epoch).into_iter().map(|excerpt| {
+            let codes: Vec<[f32; 2]> = codes.by_ref().take(excerpt.codes).copied().collect();
+            let rewards: Vec<[f32; 3]> = rewards.by_ref().take(excerpt.codes).copied().collect();
+            if (codes.len(), rewards.len()) != (excerpt.codes, excerpt.codes) {
+                return Err("holds pieces of other songs".to_owned());
+            }
+            Ok(Episode {
+                excerpt,
+                codes: [0, 1].map(|half| codes.iter().map(|pair| pair[half] as i32).collect()),
+                rewards,
+            })
+        });
+        Ok(Some(
+            self.arranged(epoch, episodes.collect::<Result<_, _>>()?),
+        ))
+    }
+}
+
+impl Rollout {
+    /// The windows of the epoch's `step`-th batch: a piece and the first code each. They start over
+    /// where an epoch has a few steps more than windows.
+    pub(super) fn batch(&self, step: u64, size: usize) -> Vec<(usize, usize)> {
+        let size = size.min(self.windows.len());
+        let first = step as usize * size % self.windows.len().max(1);
+        let windows = self.windows.iter().cycle().skip(first);
+        windows.take(size).copied().collect()
+    }
+
+    /// Means of total, `R_b` and `R_c` over all codes.
+    pub(super) fn mean_rewards(&self) -> [f32; 3] {
+        let rewards = self.episodes.iter().flat_map(|episode| &episode.rewards);
+        let mut sums = [0.0_f64; 3];
+        let mut count = 0.0;
+        for reward in rewards {
+            count += 1.0;
+            for (sum, &part) in sums.iter_mut().zip(reward) {
+                *sum += f64::from(part);
+            }
+        }
+        sums.map(|sum| (sum / count) as f32)
+    }
+
+    /// What was generated is kept: its policy is gone after the epoch's first step.
+    pub(super) fn save(&self, saved: &mut Saved) {
+        let episodes = &self.episodes;
+        let codes = episodes.iter().flat_map(|episode| {
+            let [upper, lower] = &episode.codes;
+            upper
+                .iter()
+                .zip(lower)
+                .flat_map(|(&upper, &lower)| [upper as f32, lower as f32])
+        });
+        let rewards = episodes.iter().flat_map(|episode| episode.rewards.concat());
+        let mut put = |name: &str, width: usize, values: Vec<f32>| {
+            let tensor = Tensor::from_fn(vec![values.len() / width, width], |place| values[place]);
+            saved.tensors.insert(name.into(), tensor);
+        };
+        put(EPOCH, 1, vec![self.epoch as f32]);
+        put(CODES, 2, codes.collect());
+        put(REWARDS, 3, rewards.collect());
+    }
+}
+
+/// What tells rewards from codes.
+pub(super) struct Judge<B: Backend> {
+    pub(super) decoder: DanceDecoder<B>,
+    pub(super) rule: RewardRule,
+}
+
+impl<B: Backend> Judge<B> {
+    /// Total, `R_b` and `R_c` of each code of a piece, decoded whole; no numbers where the decoder
+    /// gives none, which ends the run.
+    fn rewards(&self, codes: &[Vec<i32>; 2], music_beats: &[bool]) -> Vec<[f32; 3]> {
+        let Some(positions) = self.decoder.positions(codes) else {
+            return vec![[f32::NAN; 3]; codes[0].len()];
+        };
+        let rewards = self.rule.rewards(&positions, music_beats).into_iter();
+        let rewards = rewards.map(|reward| [reward.total, reward.beat, reward.consistency]);
+        rewards
+            .map(|reward| reward.map(|part| part as f32))
+            .collect()
+    }
+}
+
+fn shuffled<T>(mut values: Vec<T>, random: &mut impl Rng) -> Vec<T> {
+    for place in (1..values.len()).rev() {
+        let other = random.next_u64() % (place as u64 + 1);
+        values.swap(place, other as usize);
+    }
+    values
+}

@@ -1,0 +1,147 @@
+//! Codes of whole pieces from the policy as it stands, many pieces side by side.
+
+use burn_tensor::{Int, Tensor as Device, TensorData, backend::Backend};
+use ndarray::ArrayView2;
+use rand_chacha::{ChaCha8Rng, rand_core::Rng};
+
+use crate::nn::{GptNet, Parameters, values};
+
+/// A piece to be generated.
+pub(super) struct Wish<'a> {
+    /// Scaled music; row `k + 1` is beside code `k`, so there is one row more than codes.
+    pub(super) music: ArrayView2<'a, f32>,
+    /// Upper and lower code to start from.
+    pub(super) start: [i32; 2],
+    /// The piece's own random numbers: it comes out the same beside any other pieces.
+    pub(super) random: ChaCha8Rng,
+}
+
+/// How codes are drawn.
+pub(super) struct Sampler<'a, B: Backend> {
+    pub(super) net: &'a GptNet,
+    pub(super) parameters: &'a Parameters<B>,
+    /// 0 takes the most likely code, as published.
+    pub(super) temperature: f64,
+}
+
+impl<B: Backend> Sampler<'_, B> {
+    /// The codes of each piece. Histories slide as in ARCHITECTURE section 3 with `s = 28`: every
+    /// step sees the last 28 codes re-indexed from position 0, so all is computed anew each step
+    /// and nothing can be cached; pieces side by side keep the device busy instead.
+    pub(super) fn generate(&self, mut wishes: Vec<Wish<'_>>) -> Vec<[Vec<i32>; 2]> {
+        let mut pieces: Vec<[Vec<i32>; 2]> = wishes
+            .iter()
+            .map(|wish| wish.start.map(|code| vec![code]))
+            .collect();
+        let longest = wishes
+            .iter()
+            .map(|wish| wish.music.nrows())
+            .max()
+            .unwrap_or(0);
+        for known in 1..longest.saturating_sub(1) {
+            let unfinished: Vec<usize> = (0..wishes.len())
+                .filter(|&piece| known + 1 < wishes[piece].music.nrows())
+                .collect();
+            let logits = self.logits(&wishes, &pieces, &unfinished, known);
+            for (place, &piece) in unfinished.iter().enumerate() {
+                for (half, logits) in logits.iter().enumerate() {
+                    let vocabulary = logits.len() / unfinished.len();
+                    let logits = &logits[place * vocabulary..][..vocabulary];
+                    let code = draw(logits, self.temperature, &mut wishes[piece].random);
+                    pieces[piece][half].push(code as i32);
+                }
+            }
+        }
+        pieces
+    }
+
+    /// Scores of code `known` of the given pieces, one after the other.
+    fn logits(
+        &self,
+        wishes: &[Wish<'_>],
+        pieces: &[[Vec<i32>; 2]],
+        unfinished: &[usize],
+        known: usize,
+    ) -> [Vec<f32>; 2] {
+        let window = known.min(self.net.block() - 1);
+        let first = known - window;
+        let excerpts: Vec<_> = unfinished
+            .iter()
+            .map(|&piece| Window {
+                music: wishes[piece].music,
+                codes: &pieces[piece],
+                first,
+            })
+            .collect();
+        let device = self.parameters.device();
+        let (music, codes) = inputs(&excerpts, window, device);
+        let logits = self.net.forward(self.parameters, music, codes, 0.0);
+        [logits.upper, logits.lower].map(|logits| values(&logits.narrow(1, window - 1, 1)))
+    }
+}
+
+/// A part of a piece, from code `first` on.
+pub(super) struct Window<'a> {
+    pub(super) music: ArrayView2<'a, f32>,
+    pub(super) codes: &'a [Vec<i32>; 2],
+    pub(super) first: usize,
+}
+
+/// Music and codes of windows of `steps` codes, as the network takes them.
+pub(super) fn inputs<B: Backend>(
+    windows: &[Window<'_>],
+    steps: usize,
+    device: &B::Device,
+) -> (Device<B, 3>, [Device<B, 2, Int>; 2]) {
+    let columns = windows.first().map_or(0, |window| window.music.ncols());
+    let mut rows: Vec<f32> = Vec::with_capacity(windows.len() * steps * columns);
+    for window in windows {
+        let beside = window.first + 1..window.first + 1 + steps;
+        beside.for_each(|row| rows.extend(window.music.row(row)));
+    }
+    let music = Device::from_data(
+        TensorData::new(rows, [windows.len(), steps, columns]),
+        device,
+    );
+    let codes = [0, 1].map(|half| {
+        let codes = windows
+            .iter()
+            .flat_map(|window| &window.codes[half][window.first..][..steps]);
+        let codes: Vec<i32> = codes.copied().collect();
+        Device::from_data(TensorData::new(codes, [windows.len(), steps]), device)
+    });
+    (music, codes)
+}
+
+/// A code by its score; the first of the highest at temperature 0.
+fn draw(logits: &[f32], temperature: f64, random: &mut ChaCha8Rng) -> usize {
+    let better = |best: usize, code: usize| {
+        if logits[code] > logits[best] {
+            code
+        } else {
+            best
+        }
+    };
+    let best = (0..logits.len()).reduce(better).unwrap_or(0);
+    if temperature == 0.0 {
+        return best;
+    }
+    let weight = |code: usize| {
+        let distance = f64::from(logits[code]) - f64::from(logits[best]);
+        (distance / temperature).exp()
+    };
+    let total: f64 = (0..logits.len()).map(weight).sum();
+    let mut rest = unit(random) * total;
+    let reached = |&code: &usize| {
+        rest -= weight(code);
+        rest < 0.0
+    };
+    // Rounding may leave a sliver beyond the last weight.
+    (0..logits.len()).find(reached).unwrap_or(best)
+}
+
+/// In `[0, 1)`.
+pub(super) fn unit(random: &mut ChaCha8Rng) -> f64 {
+    // The upper 53 bits are what a double holds.
+    (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+}
