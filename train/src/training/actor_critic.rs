@@ -3,25 +3,23 @@
 
 use std::path::Path;
 
-use burn_tensor::{
-    Int, Tensor as Device, TensorData, activation::log_softmax, backend::AutodiffBackend,
-};
+use burn_tensor::{Tensor as Device, backend::AutodiffBackend};
 
 use super::{
     Config, TrainError,
     config::{ActorCriticConfig, RunConfig},
-    decode::DanceDecoder,
+    lesson::Lesson,
     policy::{Policy, first_critic},
     reward::RewardRule,
     rollout::{Judge, Repertoire, Rollout},
     runner::{Losses, Plan, Work},
-    sampling::{Sampler, Window, inputs},
+    sampling::Sampler,
     saved::Saved,
     songs::Song,
 };
 use crate::{
     checkpoint::Checkpoint,
-    nn::{CriticNet, Logits, Parameters, Store},
+    nn::{CriticNet, Parameters, Store},
     weights::CriticWeights,
 };
 
@@ -30,6 +28,12 @@ pub(super) struct Task<'a> {
     pub(super) name: &'static str,
     pub(super) run: &'a RunConfig,
     pub(super) stage: &'a ActorCriticConfig,
+    /// What it starts from.
+    pub(super) policy: Policy,
+    /// An official checkpoint whose critic is the first.
+    pub(super) init: Option<&'a Path>,
+    /// What is danced to.
+    pub(super) songs: &'a [Song],
 }
 
 pub(super) struct ActorCriticWork<'a, A: AutodiffBackend> {
@@ -39,7 +43,7 @@ pub(super) struct ActorCriticWork<'a, A: AutodiffBackend> {
     policy: Policy,
     critic: CriticNet,
     repertoire: Repertoire,
-    judge: Judge<A::InnerBackend>,
+    judge: Judge,
     steps_of_epoch: u64,
     rollout: Option<Rollout>,
     device: A::Device,
@@ -76,7 +80,8 @@ impl ActorCriticConfig {
         format!("{settings:?}")
     }
 
-    fn rule(&self) -> RewardRule {
+    /// What rewards are.
+    pub(super) fn rule(&self) -> RewardRule {
         RewardRule {
             beat: self.reward,
             beat_weight: self.beat_weight,
@@ -86,44 +91,23 @@ impl ActorCriticConfig {
 }
 
 impl<'a, A: AutodiffBackend> ActorCriticWork<'a, A> {
-    /// Starts from a policy; the critic from `init` (an official checkpoint), else from where the
-    /// policy's own critic was left, else from random weights.
+    /// The critic starts from `init`, else from where the policy's own critic was left, else from
+    /// random weights.
     pub(super) fn new(
         config: &'a Config,
         task: Task<'a>,
-        policy: Policy,
-        songs: &[Song],
-        init: Option<&Path>,
+        judge: Judge,
         device: &A::Device,
     ) -> Result<(Plan<'a>, Self), TrainError> {
-        let stage = task.stage;
+        let (stage, policy) = (task.stage, task.policy);
         let mut store = policy.store.clone();
-        let critic = match (init, &policy.critic) {
+        let critic = match (task.init, &policy.critic) {
             (Some(path), _) => official_critic(config, path)?,
             (None, Some(critic)) => critic.clone(),
             (None, None) => first_critic(config),
         };
         let critic = CriticNet::new(&critic, &mut store);
-        let mut repertoire = Repertoire {
-            songs: scaled(songs, &policy),
-            pieces: stage.pieces_per_epoch,
-            codes: match stage.codes {
-                0 => usize::MAX,
-                codes => codes,
-            },
-            block: config.gpt.block,
-            seed: config.run.seed,
-        };
-        repertoire.keep_usable();
-        if repertoire.songs.is_empty() {
-            return Err(TrainError::TooShort {
-                length: config.gpt.block + 1,
-                unit: "rows of music",
-            });
-        }
-        if repertoire.pieces == 0 {
-            repertoire.pieces = repertoire.songs.len();
-        }
+        let repertoire = repertoire(config, stage, scaled(task.songs, &policy))?;
         let batch = stage.training.batch;
         let steps_of_epoch = repertoire.windows().div_ceil(batch);
         let plan = Plan {
@@ -140,10 +124,7 @@ impl<'a, A: AutodiffBackend> ActorCriticWork<'a, A> {
             base_layers: config.gpt.base_layers,
             critic,
             repertoire,
-            judge: Judge {
-                decoder: DanceDecoder::read(config, device)?,
-                rule: stage.rule(),
-            },
+            judge,
             policy,
             steps_of_epoch: steps_of_epoch as u64,
             rollout: None,
@@ -168,93 +149,6 @@ impl<'a, A: AutodiffBackend> ActorCriticWork<'a, A> {
             }
         }
     }
-
-    /// The windows' parts of the pieces.
-    fn lesson(&self, rollout: &Rollout, windows: &[(usize, usize)]) -> Lesson<A> {
-        let (block, moves) = (self.repertoire.block, self.repertoire.block - 1);
-        let excerpts: Vec<Window<'_>> = windows
-            .iter()
-            .map(|&(piece, first)| Window {
-                music: self.repertoire.music(rollout.episodes[piece].excerpt),
-                codes: &rollout.episodes[piece].codes,
-                first,
-            })
-            .collect();
-        let (music, states) = inputs(&excerpts, block, &self.device);
-        let shape = [windows.len(), moves];
-        let taken = [0, 1].map(|half| {
-            let codes = excerpts
-                .iter()
-                .flat_map(|window| &window.codes[half][window.first + 1..][..moves]);
-            let codes: Vec<i32> = codes.copied().collect();
-            Device::from_data(TensorData::new(codes, shape), &self.device)
-        });
-        let rewards = windows.iter().flat_map(|&(piece, first)| {
-            let rewards = &rollout.episodes[piece].rewards[first + 1..][..moves];
-            rewards.iter().map(|[total, ..]| *total)
-        });
-        let rewards: Vec<f32> = rewards.collect();
-        // Windows overlap: all steps of a piece's first count, of the others the last alone.
-        let counts = windows.iter().flat_map(|&(_, first)| {
-            (0..moves).map(move |step| f32::from(u8::from(first == 0 || step + 1 == moves)))
-        });
-        let counts: Vec<f32> = counts.collect();
-        let total: f32 = counts.iter().sum();
-        let shares = counts
-            .iter()
-            .map(|count| count / total)
-            .collect::<Vec<f32>>();
-        Lesson {
-            music,
-            states,
-            taken,
-            rewards: Device::from_data(TensorData::new(rewards, shape), &self.device),
-            shares: Device::from_data(TensorData::new(shares, shape), &self.device),
-        }
-    }
-}
-
-/// A batch of windows of `block` codes: as many states, and one move fewer between them. (The 30th
-/// code of ARCHITECTURE section 6 is only the target of a move that no reward is known for.)
-struct Lesson<A: AutodiffBackend> {
-    music: Device<A::InnerBackend, 3>,
-    /// The codes so far in each state, `[windows, block]`.
-    states: [Device<A::InnerBackend, 2, Int>; 2],
-    /// The codes that were drawn in each state but the last, `[windows, block - 1]`.
-    taken: [Device<A, 2, Int>; 2],
-    /// Of those codes.
-    rewards: Device<A, 2>,
-    /// What each move counts in means over the batch; together 1.
-    shares: Device<A, 2>,
-}
-
-impl<A: AutodiffBackend> Lesson<A> {
-    /// Cross-entropy of the codes taken, and entropy of the policy; upper + lower of each move.
-    fn policy(&self, logits: Logits<A>) -> (Device<A, 2>, Device<A, 2>) {
-        let [windows, moves] = self.rewards.dims();
-        let half = |logits: Device<A, 3>, taken: &Device<A, 2, Int>| {
-            let scores = log_softmax(logits.narrow(1, 0, moves), 2);
-            let surprise = scores
-                .clone()
-                .gather(2, taken.clone().unsqueeze_dim::<3>(2));
-            let entropy = (scores.clone().exp() * scores).sum_dim(2);
-            [surprise, entropy].map(|sum| sum.neg().reshape([windows, moves]))
-        };
-        let [upper, upper_entropy] = half(logits.upper, &self.taken[0]);
-        let [lower, lower_entropy] = half(logits.lower, &self.taken[1]);
-        (upper + lower, upper_entropy + lower_entropy)
-    }
-
-    /// `TD = r + discount * v[1:] - v[:-1]` (Eq. 9).
-    fn surprise(&self, values: Device<A, 2>, discount: f64) -> Device<A, 2> {
-        let [_, moves] = self.rewards.dims();
-        let next = values.clone().narrow(1, 1, moves);
-        self.rewards.clone() + next.mul_scalar(discount) - values.narrow(1, 0, moves)
-    }
-
-    fn mean(&self, values: Device<A, 2>) -> Device<A, 1> {
-        (values * self.shares.clone()).sum()
-    }
 }
 
 impl<A: AutodiffBackend> Work<A> for ActorCriticWork<'_, A> {
@@ -272,7 +166,8 @@ impl<A: AutodiffBackend> Work<A> for ActorCriticWork<'_, A> {
         let frozen = parameters.untracked();
         let (epoch, place) = (step / self.steps_of_epoch, step % self.steps_of_epoch);
         let rollout = self.rollout(&frozen, epoch);
-        let lesson = self.lesson(&rollout, &rollout.batch(place, self.batch));
+        let windows = rollout.batch(place, self.batch);
+        let lesson = Lesson::new(&self.repertoire, &rollout, &windows, &self.device);
         // The state network is frozen and runs without dropout: it never sees `parameters`.
         let states = self.policy.net.states(
             &frozen,
@@ -330,6 +225,35 @@ impl<A: AutodiffBackend> Work<A> for ActorCriticWork<'_, A> {
     }
 }
 
+/// The songs that are long enough for a window, and what an epoch takes of them.
+fn repertoire(
+    config: &Config,
+    stage: &ActorCriticConfig,
+    songs: Vec<Song>,
+) -> Result<Repertoire, TrainError> {
+    let mut repertoire = Repertoire {
+        songs,
+        pieces: stage.pieces_per_epoch,
+        codes: match stage.codes {
+            0 => usize::MAX,
+            codes => codes,
+        },
+        block: config.gpt.block,
+        seed: config.run.seed,
+    };
+    repertoire.keep_usable();
+    if repertoire.songs.is_empty() {
+        return Err(TrainError::TooShort {
+            length: config.gpt.block + 1,
+            unit: "rows of music",
+        });
+    }
+    if repertoire.pieces == 0 {
+        repertoire.pieces = repertoire.songs.len();
+    }
+    Ok(repertoire)
+}
+
 fn scaled(songs: &[Song], policy: &Policy) -> Vec<Song> {
     let songs = songs.iter().map(|song| Song {
         rows: policy.scaled(&song.rows),
@@ -356,4 +280,130 @@ fn official_critic(config: &Config, path: &Path) -> Result<CriticWeights, TrainE
         path: path.to_owned(),
         message: "has a critic of other sizes than [gpt] and [actor_critic] say".into(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use burn_autodiff::Autodiff;
+    use burn_flex::{Flex, FlexDevice};
+    use ndarray::Array2;
+
+    use super::*;
+    use crate::{
+        nn::GptNet,
+        training::{Limits, gpt::MusicScale, gpt::random, runner::run},
+    };
+
+    const COLUMNS: usize = 3;
+
+    #[test]
+    fn turns_follow_each_other() {
+        let mut stage = Config::parse("").unwrap().actor_critic;
+        (
+            stage.critic_warmup_steps,
+            stage.actor_steps,
+            stage.critic_steps,
+        ) = (1, 2, 3);
+        let (mut actor, mut critic) = (0, 0);
+        for (step, wanted) in "CAACCCAACCCAA".chars().enumerate() {
+            let (wanted, count) = match wanted {
+                'A' => (Turn::Actor, &mut actor),
+                _ => (Turn::Critic, &mut critic),
+            };
+            assert_eq!(stage.turn(step as u64), (wanted, *count), "{step}");
+            *count += 1;
+        }
+    }
+
+    /// A policy that knows nothing, with small windows.
+    fn toy(folder: &Path) -> (Config, Policy, Vec<Song>) {
+        let mut config = Config::parse(include_str!("../../presets/tiny.toml")).unwrap();
+        config.run.folder = folder.to_owned();
+        config.run.log_steps = 1;
+        config.gpt.block = 8;
+        let stage = &mut config.actor_critic;
+        (stage.pieces_per_epoch, stage.codes) = (8, 16);
+        (
+            stage.training.batch,
+            stage.training.epochs,
+            stage.training.rate,
+        ) = (24, 20, 3e-3);
+        let mut store = Store::default();
+        let policy = Policy {
+            net: GptNet::new(&random(&config, COLUMNS), &mut store),
+            store,
+            scale: MusicScale {
+                mean: vec![0.0; COLUMNS],
+                spread: vec![1.0; COLUMNS],
+            },
+            starts: vec![[3, 5], [9, 1]],
+            critic: None,
+        };
+        let song = |phase: f32| Song {
+            rows: Array2::from_shape_fn((30, COLUMNS), |(row, column)| {
+                (row as f32 * (0.5 + column as f32) + phase).sin()
+            }),
+            beats: Vec::new(),
+        };
+        (config, policy, [0.0, 1.0].map(song).into())
+    }
+
+    /// Mean rewards of the first and the last epoch.
+    fn learned(judge: Judge) -> [f32; 2] {
+        let folder = tempfile::tempdir().unwrap();
+        let (config, policy, songs) = toy(folder.path());
+        let task = Task {
+            name: "actor-critic",
+            run: &config.run,
+            stage: &config.actor_critic,
+            policy,
+            init: None,
+            songs: &songs,
+        };
+        let work = ActorCriticWork::<Autodiff<Flex>>::new(&config, task, judge, &FlexDevice);
+        let (plan, mut work) = work.unwrap();
+        run::<Autodiff<Flex>, _>(
+            &plan,
+            &mut work,
+            &FlexDevice,
+            Limits::default(),
+            &mut Vec::new(),
+        )
+        .unwrap();
+        let path = folder.path().join("actor-critic/metrics.csv");
+        let text = std::fs::read_to_string(path).unwrap();
+        let rewards = text
+            .lines()
+            .skip(1)
+            .map(|line| line.split(',').nth(6).unwrap());
+        let rewards: Vec<f32> = rewards.map(|reward| reward.parse().unwrap()).collect();
+        [rewards[0], rewards[rewards.len() - 1]]
+    }
+
+    #[test]
+    fn an_official_critic_must_be_of_the_configured_size() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/fixtures/model");
+        let path = Path::new(folder).join("tiny_gpt.pt");
+        let mut config = Config::parse("").unwrap();
+        (config.gpt.channels, config.gpt.heads) = (48, 4);
+        config.actor_critic.critic_layers = 1;
+        let critic = official_critic(&config, &path).unwrap();
+        assert_ne!(critic, first_critic(&config));
+        config.actor_critic.critic_layers = 2;
+        let refused = official_critic(&config, &path).unwrap_err();
+        assert!(matches!(refused, TrainError::State { .. }), "{refused}");
+    }
+
+    #[test]
+    fn the_policy_gets_better_at_what_is_rewarded() {
+        let quarter = |code: i32| if code % 4 == 0 { 1.0 } else { -1.0 };
+        let upper: Judge = Box::new(move |[upper, _], _| {
+            let rewards = upper.iter().map(|&code| [quarter(code); 3]);
+            rewards.collect()
+        });
+        let [first, last] = learned(upper);
+        assert!(first < 0.0 && last > first + 0.5, "{first} {last}");
+    }
 }

@@ -81,10 +81,11 @@ pub fn adapt(
         name: STAGE,
         run: &run,
         stage: &stage,
+        policy: Policy::latest(config)?,
+        init,
+        songs: std::slice::from_ref(&adaptation.song),
     };
-    let policy = Policy::latest(config)?;
-    let songs = std::slice::from_ref(&adaptation.song);
-    learn_from_rewards(config, task, policy, songs, init, limits, output)
+    learn_from_rewards(config, task, limits, output)
 }
 
 /// Writes the model directory of a finished adaptation.

@@ -8,8 +8,10 @@ use burn_tensor::backend::AutodiffBackend;
 use super::{
     Config, Limits, MotionSet, Outcome, Song, TrainError,
     actor_critic::{ActorCriticWork, Task},
+    decode::DanceDecoder,
     gpt::GptWork,
     policy::Policy,
+    rollout::judge,
     runner::run,
     velocity::VelocityWork,
     vqvae::VqVaeWork,
@@ -66,27 +68,23 @@ pub fn actor_critic(
         name: "actor-critic",
         run: &config.run,
         stage: &config.actor_critic,
+        policy: Policy::of_gpt(config)?,
+        init,
+        songs,
     };
-    let policy = Policy::of_gpt(config)?;
-    learn_from_rewards(config, task, policy, songs, init, limits, output)
+    learn_from_rewards(config, task, limits, output)
 }
 
 /// The task of either stage that learns from rewards, on the configured device.
 pub(super) fn learn_from_rewards(
     config: &Config,
     task: Task<'_>,
-    policy: Policy,
-    songs: &[Song],
-    init: Option<&Path>,
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
     let job = RewardJob {
         config,
         task,
-        policy,
-        songs,
-        init,
         limits,
         output,
     };
@@ -140,23 +138,15 @@ impl<O: Write> Job for StageJob<'_, O> {
 struct RewardJob<'a, O> {
     config: &'a Config,
     task: Task<'a>,
-    policy: Policy,
-    songs: &'a [Song],
-    init: Option<&'a Path>,
     limits: Limits,
     output: &'a mut O,
 }
 
 impl<O: Write> Job for RewardJob<'_, O> {
     fn run_on<A: AutodiffBackend>(self, device: &A::Device) -> Result<Outcome, TrainError> {
-        let (plan, mut work) = ActorCriticWork::<A>::new(
-            self.config,
-            self.task,
-            self.policy,
-            self.songs,
-            self.init,
-            device,
-        )?;
+        let decoder = DanceDecoder::<A::InnerBackend>::read(self.config, device)?;
+        let judge = judge(decoder, self.task.stage.rule());
+        let (plan, mut work) = ActorCriticWork::<A>::new(self.config, self.task, judge, device)?;
         run::<A, _>(&plan, &mut work, device, self.limits, self.output)
     }
 }

@@ -10,6 +10,7 @@ mod error;
 mod export;
 mod gpt;
 mod input;
+mod lesson;
 mod policy;
 mod reward;
 mod rollout;

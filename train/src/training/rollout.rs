@@ -121,7 +121,7 @@ impl Repertoire {
         sampler: &Sampler<'_, B>,
         starts: &[[u32; 2]],
         batch: usize,
-        judge: &Judge<B>,
+        judge: &Judge,
     ) -> Rollout {
         let excerpts = self.excerpts(epoch);
         let wishes = excerpts.iter().enumerate().map(|(piece, &excerpt)| {
@@ -143,14 +143,15 @@ impl Repertoire {
             .into_iter()
             .zip(codes)
             .map(|(excerpt, codes)| Episode {
-                rewards: judge.rewards(&codes, self.beats(excerpt)),
+                rewards: judge(&codes, self.beats(excerpt)),
                 excerpt,
                 codes,
             });
         self.arranged(epoch, episodes.collect())
     }
 
-    fn arranged(&self, epoch: u64, episodes: Vec<Episode>) -> Rollout {
+    /// The windows of an epoch's pieces, in an order of their own.
+    pub(super) fn arranged(&self, epoch: u64, episodes: Vec<Episode>) -> Rollout {
         let windows = episodes.iter().enumerate().flat_map(|(piece, episode)| {
             let starts = 0..=episode.excerpt.codes - self.block;
             starts.map(move |start| (piece, start))
@@ -234,25 +235,22 @@ impl Rollout {
     }
 }
 
-/// What tells rewards from codes.
-pub(super) struct Judge<B: Backend> {
-    pub(super) decoder: DanceDecoder<B>,
-    pub(super) rule: RewardRule,
-}
+/// Tells total, `R_b` and `R_c` of each code of a piece from its codes and its music's beats.
+pub(super) type Judge = Box<dyn Fn(&[Vec<i32>; 2], &[bool]) -> Vec<[f32; 3]>>;
 
-impl<B: Backend> Judge<B> {
-    /// Total, `R_b` and `R_c` of each code of a piece, decoded whole; no numbers where the decoder
-    /// gives none, which ends the run.
-    fn rewards(&self, codes: &[Vec<i32>; 2], music_beats: &[bool]) -> Vec<[f32; 3]> {
-        let Some(positions) = self.decoder.positions(codes) else {
+/// Judges by the decoded dance; pieces are decoded whole. No numbers where the decoder gives none,
+/// which ends the run.
+pub(super) fn judge<B: Backend>(decoder: DanceDecoder<B>, rule: RewardRule) -> Judge {
+    Box::new(move |codes, music_beats| {
+        let Some(positions) = decoder.positions(codes) else {
             return vec![[f32::NAN; 3]; codes[0].len()];
         };
-        let rewards = self.rule.rewards(&positions, music_beats).into_iter();
+        let rewards = rule.rewards(&positions, music_beats).into_iter();
         let rewards = rewards.map(|reward| [reward.total, reward.beat, reward.consistency]);
         rewards
             .map(|reward| reward.map(|part| part as f32))
             .collect()
-    }
+    })
 }
 
 fn shuffled<T>(mut values: Vec<T>, random: &mut impl Rng) -> Vec<T> {
@@ -261,4 +259,98 @@ fn shuffled<T>(mut values: Vec<T>, random: &mut impl Rng) -> Vec<T> {
         values.swap(place, other as usize);
     }
     values
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::Array2;
+
+    use super::*;
+
+    fn repertoire() -> Repertoire {
+        let song = |rows: usize| Song {
+            rows: Array2::zeros((rows, 2)),
+            beats: (0..8 * rows).map(|frame| frame == 16).collect(),
+        };
+        let mut repertoire = Repertoire {
+            songs: vec![song(12), song(4), song(30)],
+            pieces: 5,
+            codes: 16,
+            block: 6,
+            seed: 3,
+        };
+        repertoire.keep_usable();
+        repertoire
+    }
+
+    fn rollout(epoch: u64) -> Rollout {
+        let repertoire = repertoire();
+        let excerpts = repertoire.excerpts(epoch).into_iter().enumerate();
+        let episodes = excerpts.map(|(piece, excerpt)| Episode {
+            excerpt,
+            codes: [1, 2].map(|half| vec![half * piece as i32; excerpt.codes]),
+            rewards: vec![[piece as f32, 0.1, -0.3]; excerpt.codes],
+        });
+        repertoire.arranged(epoch, episodes.collect())
+    }
+
+    #[test]
+    fn excerpts_lie_within_their_songs() {
+        let repertoire = repertoire();
+        assert_eq!(repertoire.songs.len(), 2);
+        let mut firsts = Vec::new();
+        for epoch in 0..20 {
+            let excerpts = repertoire.excerpts(epoch);
+            assert_eq!(excerpts, repertoire.excerpts(epoch));
+            assert_eq!(excerpts.len(), 5);
+            for excerpt in excerpts {
+                let rows = repertoire.songs[excerpt.song].rows.nrows();
+                assert_eq!(excerpt.codes, 16.min(rows - 1));
+                assert_eq!(repertoire.music(excerpt).nrows(), excerpt.codes + 1);
+                let beat = repertoire.beats(excerpt).iter().position(|&beat| beat);
+                assert_eq!(beat, 16_usize.checked_sub(8 * excerpt.first));
+                firsts.push(excerpt.first);
+            }
+        }
+        firsts.sort_unstable();
+        firsts.dedup();
+        assert_eq!(firsts, (0..=13).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn an_epoch_is_about_every_window_once() {
+        let rollout = rollout(2);
+        let mut drawn: Vec<_> = (0..).map(|step| rollout.batch(step, 7)).take(30).collect();
+        let windows = rollout.windows.len();
+        drawn.truncate(windows.div_ceil(7));
+        let mut drawn = drawn.concat();
+        // The last batch starts over.
+        assert_eq!(
+            drawn.split_off(windows),
+            drawn[..drawn.len().div_ceil(7) * 7 - windows]
+        );
+        drawn.sort_unstable();
+        let all = rollout.episodes.iter().enumerate();
+        let all = all.flat_map(|(piece, e)| (0..=e.codes[0].len() - 6).map(move |at| (piece, at)));
+        assert_eq!(drawn, all.collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn what_was_generated_is_kept() {
+        let (repertoire, rollout) = (repertoire(), rollout(9));
+        let mut saved = Saved::default();
+        assert!(repertoire.restore(&saved).unwrap().is_none());
+        rollout.save(&mut saved);
+        let back = repertoire.restore(&saved).unwrap().unwrap();
+        assert_eq!((back.epoch, &back.windows), (9, &rollout.windows));
+        for (found, wanted) in back.episodes.iter().zip(&rollout.episodes) {
+            assert_eq!(found.excerpt, wanted.excerpt);
+            assert_eq!(found.codes, wanted.codes);
+            assert_eq!(found.rewards, wanted.rewards);
+        }
+        saved
+            .tensors
+            .insert(CODES.into(), Tensor::from_fn(vec![3, 2], |_| 0.0));
+        assert!(repertoire.restore(&saved).is_err());
+    }
 }

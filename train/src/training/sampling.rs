@@ -145,3 +145,73 @@ pub(super) fn unit(random: &mut ChaCha8Rng) -> f64 {
     // The upper 53 bits are what a double holds.
     (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use burn_flex::{Flex, FlexDevice};
+    use ndarray::{Array1, Array2, Axis, Slice};
+
+    use super::*;
+    use crate::{
+        checkpoint::Checkpoint, nn::Store, training::windows::generator, weights::GptWeights,
+    };
+
+    fn fixture(name: &str) -> PathBuf {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/fixtures/model");
+        PathBuf::from(folder).join(name)
+    }
+
+    fn golden_codes(name: &str) -> Vec<i32> {
+        let codes: Array1<i64> = ndarray_npy::read_npy(fixture(name)).unwrap();
+        codes.iter().map(|&code| code as i32).collect()
+    }
+
+    #[test]
+    fn the_most_likely_codes_are_the_golden_ones() {
+        let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
+        let weights = GptWeights::from_checkpoint(&mut checkpoint, 4).unwrap();
+        let mut store = Store::default();
+        let net = GptNet::new(&weights, &mut store);
+        let sampler = Sampler {
+            net: &net,
+            parameters: &Parameters::<Flex>::from_store(&store, &FlexDevice),
+            temperature: 0.0,
+        };
+        let music: Array2<f32> = ndarray_npy::read_npy(fixture("music.npy")).unwrap();
+        let start = golden_codes("start_codes.npy");
+        let start = [start[0], start[1]];
+        // A shorter piece beside it ends earlier and is the same as far as it goes.
+        let wish = |rows: usize| Wish {
+            music: music.slice_axis(Axis(0), Slice::from(..rows)),
+            start,
+            random: generator(1, 2),
+        };
+        let pieces = sampler.generate(vec![wish(60), wish(35)]);
+        for (half, name) in ["codes_slide_up.npy", "codes_slide_down.npy"]
+            .into_iter()
+            .enumerate()
+        {
+            let golden = golden_codes(name);
+            assert_eq!(pieces[0][half], golden[..59]);
+            assert_eq!(pieces[1][half], golden[..34]);
+        }
+    }
+
+    #[test]
+    fn codes_are_drawn_by_their_scores() {
+        let logits = [0.0, 2.0, -1.0, 2.0];
+        let mut random = generator(5, 0);
+        assert_eq!(draw(&logits, 0.0, &mut random), 1);
+        let mut counts = [0.0; 4];
+        for _ in 0..20_000 {
+            counts[draw(&logits, 2.0, &mut random)] += 1.0 / 20_000.0;
+        }
+        let total: f64 = logits.iter().map(|&x| f64::from(x / 2.0).exp()).sum();
+        for (share, logit) in counts.into_iter().zip(logits) {
+            let wanted = f64::from(logit / 2.0).exp() / total;
+            assert!((share - wanted).abs() < 0.02, "{share} {wanted}");
+        }
+    }
+}
