@@ -3,12 +3,12 @@
 use std::{io::Write, path::Path};
 
 use burn_autodiff::Autodiff;
-use burn_tensor::backend::AutodiffBackend;
 
 use super::{
     Config, Limits, MotionSet, Outcome, TrainError, gpt::GptWork, runner::run,
     velocity::VelocityWork, vqvae::VqVaeWork,
 };
+use crate::nn::Trainable;
 
 /// A stage that learns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,6 +19,18 @@ pub enum Stage {
     Velocity,
     /// The motion GPT.
     Gpt,
+}
+
+impl Stage {
+    /// Its name on the command line, and of its folder.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::VqVae => "vqvae",
+            Self::Velocity => "velocity",
+            Self::Gpt => "gpt",
+        }
+    }
 }
 
 /// Runs a stage on the device that the configuration names. `init` is an official checkpoint to
@@ -51,7 +63,7 @@ pub fn train(
     }
 }
 
-fn on<A: AutodiffBackend>(
+fn on<A: Trainable>(
     stage: Stage,
     config: &Config,
     set: &MotionSet,

@@ -2,9 +2,7 @@
 
 use std::path::Path;
 
-use burn_tensor::{
-    Int, Tensor as Device, TensorData, activation::log_softmax, backend::AutodiffBackend,
-};
+use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax};
 
 use super::{
     Config, FRAMES_PER_CODE, MotionSet, TrainError,
@@ -16,7 +14,7 @@ use super::{
 use crate::{
     Tensor,
     checkpoint::Checkpoint,
-    nn::{GptNet, GptSizes, Parameters, Store, random_gpt},
+    nn::{GptNet, GptSizes, Parameters, Store, Trainable, random_gpt},
     weights::{GptWeights, Linear},
 };
 
@@ -83,7 +81,7 @@ impl MusicScale {
     }
 }
 
-pub(super) struct GptWork<'a, A: AutodiffBackend> {
+pub(super) struct GptWork<'a, A: Trainable> {
     config: &'a Config,
     set: &'a MotionSet,
     windows: Windows,
@@ -108,7 +106,7 @@ pub(super) fn random(config: &Config, columns: usize) -> GptWeights {
     random_gpt(sizes, config.run.seed ^ 2)
 }
 
-impl<'a, A: AutodiffBackend> GptWork<'a, A> {
+impl<'a, A: Trainable> GptWork<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
@@ -212,7 +210,7 @@ impl<'a, A: AutodiffBackend> GptWork<'a, A> {
 }
 
 /// The codes of every training piece, encoded whole.
-fn encode<A: AutodiffBackend>(
+fn encode<A: Trainable>(
     config: &Config,
     set: &MotionSet,
     device: &A::Device,
@@ -234,7 +232,7 @@ fn encode<A: AutodiffBackend>(
     Ok(pieces.collect())
 }
 
-impl<A: AutodiffBackend> Work<A> for GptWork<'_, A> {
+impl<A: Trainable> Work<A> for GptWork<'_, A> {
     const COLUMNS: &'static [&'static str] = &["loss", "upper", "lower"];
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {

@@ -7,12 +7,12 @@ use std::{
     time::Instant,
 };
 
-use burn_tensor::{Tensor as Device, backend::AutodiffBackend};
+use burn_tensor::Tensor as Device;
 
 use super::{TrainError, TrainingConfig, adam::Adam, adam::clip, config::RunConfig, saved::Saved};
 use crate::{
     Tensor,
-    nn::{Parameters, Store, values},
+    nn::{Parameters, Store, Trainable, values},
 };
 
 const FIRST_MOMENT: &str = "adam.first.";
@@ -22,7 +22,7 @@ const METERS: &str = "meters";
 pub(super) const WEIGHT: &str = "weight.";
 
 /// What a stage does in a step, and what it keeps beside weights.
-pub(super) trait Work<A: AutodiffBackend> {
+pub(super) trait Work<A: Trainable> {
     /// Names of the metrics; the first is the loss.
     const COLUMNS: &'static [&'static str];
     /// The loss to follow downhill, and the metrics, one number each.
@@ -33,7 +33,7 @@ pub(super) trait Work<A: AutodiffBackend> {
     fn restore(&mut self, saved: &Saved) -> Result<(), String>;
 }
 
-pub(super) struct Losses<A: AutodiffBackend> {
+pub(super) struct Losses<A: Trainable> {
     pub(super) loss: Device<A, 1>,
     pub(super) metrics: Vec<Device<A::InnerBackend, 1>>,
 }
@@ -73,7 +73,7 @@ pub(super) fn checkpoint_path(run: &RunConfig, stage: &str) -> PathBuf {
 }
 
 /// Runs a stage from its checkpoint, or from the plan's weights, to its end or a limit.
-pub(super) fn run<A: AutodiffBackend, W: Work<A>>(
+pub(super) fn run<A: Trainable, W: Work<A>>(
     plan: &Plan<'_>,
     work: &mut W,
     device: &A::Device,
@@ -128,7 +128,7 @@ pub(super) fn run<A: AutodiffBackend, W: Work<A>>(
     Ok(Outcome::Finished)
 }
 
-struct State<A: AutodiffBackend> {
+struct State<A: Trainable> {
     parameters: Parameters<A::InnerBackend>,
     adam: Adam<A::InnerBackend>,
     step: u64,
@@ -137,7 +137,7 @@ struct State<A: AutodiffBackend> {
     summed: f32,
 }
 
-impl<A: AutodiffBackend> State<A> {
+impl<A: Trainable> State<A> {
     fn start<W: Work<A>>(
         plan: &Plan<'_>,
         work: &mut W,

@@ -1,6 +1,6 @@
 //! Stage `velocity`: the root's decoder on frozen codes of the lower half.
 
-use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend};
+use burn_tensor::{Tensor as Device, TensorData};
 
 use super::{
     Config, MotionSet, TrainError,
@@ -9,7 +9,7 @@ use super::{
     vqvae::{Halves, Trained, differences, half_crops},
     windows::Windows,
 };
-use crate::nn::{DecoderNet, Parameters, Store};
+use crate::nn::{DecoderNet, Parameters, Store, Trainable};
 
 /// The root's decoder and the weights it starts from.
 pub(super) fn root(config: &Config) -> (DecoderNet, Store) {
@@ -18,7 +18,7 @@ pub(super) fn root(config: &Config) -> (DecoderNet, Store) {
     (net, store)
 }
 
-pub(super) struct VelocityWork<'a, A: AutodiffBackend> {
+pub(super) struct VelocityWork<'a, A: Trainable> {
     config: &'a Config,
     set: &'a MotionSet,
     windows: Windows,
@@ -27,7 +27,7 @@ pub(super) struct VelocityWork<'a, A: AutodiffBackend> {
     device: A::Device,
 }
 
-impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
+impl<'a, A: Trainable> VelocityWork<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
@@ -64,7 +64,7 @@ impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
     }
 }
 
-impl<A: AutodiffBackend> Work<A> for VelocityWork<'_, A> {
+impl<A: Trainable> Work<A> for VelocityWork<'_, A> {
     const COLUMNS: &'static [&'static str] = &["loss", "velocity", "difference"];
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {

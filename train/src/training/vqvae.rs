@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
+use burn_tensor::{Tensor as Device, TensorData, backend::Backend};
 
 use super::{
     Config, MotionSet, TrainError,
@@ -12,7 +12,9 @@ use super::{
 };
 use crate::{
     checkpoint::Checkpoint,
-    nn::{Codebook, HalfNet, MovingAverage, Parameters, Store, VqVaeSizes, random_vqvae},
+    nn::{
+        Codebook, HalfNet, MovingAverage, Parameters, Store, Trainable, VqVaeSizes, random_vqvae,
+    },
     weights::{HALF_JOINTS, VqVaeWeights},
 };
 
@@ -129,7 +131,7 @@ pub(super) fn differences<B: Backend>(error: Device<B, 3>) -> [Device<B, 1>; 3] 
     [error, first, second].map(|tensor| tensor.abs().mean())
 }
 
-pub(super) struct VqVaeWork<'a, A: AutodiffBackend> {
+pub(super) struct VqVaeWork<'a, A: Trainable> {
     config: &'a Config,
     set: &'a MotionSet,
     windows: Windows,
@@ -138,7 +140,7 @@ pub(super) struct VqVaeWork<'a, A: AutodiffBackend> {
     device: A::Device,
 }
 
-impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
+impl<'a, A: Trainable> VqVaeWork<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
@@ -246,7 +248,7 @@ impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
     }
 }
 
-impl<A: AutodiffBackend> Work<A> for VqVaeWork<'_, A> {
+impl<A: Trainable> Work<A> for VqVaeWork<'_, A> {
     const COLUMNS: &'static [&'static str] = &[
         "loss",
         "upper_loss",
