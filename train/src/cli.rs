@@ -62,6 +62,10 @@ struct StageArguments {
     #[arg(long, value_name = "FILE.pt")]
     init: Option<PathBuf>,
 
+    /// Folder of music features (gpt) [default: `data.cache` of the settings]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+
     /// Write a checkpoint and stop after this many seconds; the same command goes on
     #[arg(long, value_name = "S")]
     max_seconds: Option<f64>,
@@ -232,16 +236,19 @@ fn train_stage(
     arguments: &StageArguments,
     output: &mut impl Write,
 ) -> anyhow::Result<()> {
-    let config = Config::read(&arguments.config)?;
+    let mut config = Config::read(&arguments.config)?;
+    if let Some(cache) = &arguments.cache {
+        config.data.cache.clone_from(cache);
+    }
     let load = match stage {
-        Stage::Gpt => Load::Music(config.data.profile),
+        Stage::Gpt => Load::Music,
         Stage::VqVae | Stage::Velocity => Load::Motion,
     };
     anyhow::ensure!(
         arguments.init.is_none() || stage != Stage::Velocity,
         "velocity has no --init: it starts from the VQ-VAE of the run"
     );
-    let set = MotionSet::read(&config.data.folder, load)?;
+    let set = MotionSet::read(&config.data, load, output)?;
     let limits = Limits {
         seconds: arguments.max_seconds,
         steps: arguments.max_steps,

@@ -82,7 +82,7 @@ fn on<A: Trainable>(
             run::<A, _>(&plan, &mut work, &device, limits, output)
         }
         Stage::Gpt => {
-            let (plan, mut work) = GptWork::<A>::new(config, set, init, &device)?;
+            let (plan, mut work) = GptWork::<A>::new(config, set, init, &device, output)?;
             run::<A, _>(&plan, &mut work, &device, limits, output)
         }
     }

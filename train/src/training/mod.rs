@@ -1,6 +1,7 @@
 //! The stages of training, from data to a model directory.
 
 mod adam;
+mod codes;
 mod config;
 mod device;
 mod error;
@@ -9,16 +10,18 @@ mod gpt;
 mod input;
 mod runner;
 mod saved;
+mod songs;
+#[cfg(test)]
+mod tests;
 mod velocity;
 mod vqvae;
 mod windows;
 
-pub use config::{Config, Schedule, TrainingConfig};
+pub use config::{Config, DataConfig, MotionFrame, Schedule, TrainingConfig};
 pub use device::{Stage, train};
 pub use error::TrainError;
 pub use export::{export, trained_weights};
-pub use input::{Load, MotionPiece, MotionSet};
+pub use input::{Dances, Load, MotionPiece, MotionSet, SongRows};
 pub use runner::{Limits, Outcome};
 
-/// Motion frames of a code.
-const FRAMES_PER_CODE: usize = 8;
+use crate::data::FRAMES_PER_CODE;

@@ -25,6 +25,15 @@ pub(super) const WEIGHT: &str = "weight.";
 pub(super) trait Work<A: Trainable> {
     /// Names of the metrics; the first is the loss.
     const COLUMNS: &'static [&'static str];
+    /// Names of the metrics on the test split, the first is the loss that the best checkpoint is kept by; empty: none.
+    #[allow(dead_code, reason = "of the test split")]
+    const TEST_COLUMNS: &'static [&'static str] = &[];
+    /// The metrics on the test split, without derivatives, dropout or change of any state; `None` where there is no test split.
+    #[allow(dead_code, reason = "of the test split")]
+    fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {
+        let _ = parameters;
+        None
+    }
     /// The loss to follow downhill, and the metrics, one number each.
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A>;
     /// Takes what it keeps beside weights into a checkpoint.
