@@ -14,9 +14,10 @@ use std::{
     sync::{Mutex, MutexGuard},
 };
 
+use bailando::motion::MotionFrame;
 use bailando_train::{
     export::skeleton,
-    training::{Config, Limits, Load, MotionFrame, MotionSet, Outcome, Stage, train},
+    training::{Config, Limits, Load, MotionSet, Outcome, Stage, train},
 };
 use safetensors::SafeTensors;
 use serde_json::json;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use bailando::{model::Manifest, motion::MotionFrame};
+use bailando::model::Manifest;
 use burn_flex::{Flex, FlexDevice};
 
 use super::{
@@ -35,7 +35,7 @@ pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
         profile: config.data.profile,
         start_codes,
         temperature: config.export.temperature,
-        motion_frame: frame(&vqvae),
+        motion_frame: config.data.frame,
         root_height: config.export.root_height,
         weights: config.export.weights,
         training: BTreeMap::from(training.map(|(name, value)| (name.to_owned(), value))),
@@ -48,14 +48,6 @@ pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
         &vqvae,
         &description,
     )?)
-}
-
-/// The turn of the dancer's frame is the root's fourth column.
-fn frame(vqvae: &VqVaeWeights) -> MotionFrame {
-    match vqvae.root_columns() {
-        4 => MotionFrame::Dancer,
-        _ => MotionFrame::World,
-    }
 }
 
 /// The weights of a finished run, and the pairs of codes that its training pieces begin with.

@@ -17,7 +17,7 @@ mod velocity;
 mod vqvae;
 mod windows;
 
-pub use config::{Config, DataConfig, MotionFrame, Schedule, TrainingConfig};
+pub use config::{Config, DataConfig, Schedule, TrainingConfig};
 pub use device::{Stage, train};
 pub use error::TrainError;
 pub use export::{export, trained_weights};

@@ -2,7 +2,7 @@
 
 use std::{path::Path, sync::Arc};
 
-use bailando::motion::Positions;
+use bailando::motion::{MotionFrame, Positions};
 use burn_autodiff::Autodiff;
 use burn_flex::{Flex, FlexDevice};
 use burn_tensor::backend::Backend;
