@@ -6,7 +6,7 @@ use burn_autodiff::Autodiff;
 use burn_tensor::backend::AutodiffBackend;
 
 use super::{
-    Config, Limits, MotionSet, Outcome, TrainError, gpt::GptWork, runner::run,
+    Config, Limits, MotionSet, Outcome, TrainError, config::Keep, gpt::GptWork, runner::run,
     velocity::VelocityWork, vqvae::VqVaeWork,
 };
 
@@ -19,6 +19,38 @@ pub enum Stage {
     Velocity,
     /// The motion GPT.
     Gpt,
+}
+
+impl Stage {
+    /// Every stage of a whole run, in its order.
+    pub const ALL: [Self; 3] = [Self::VqVae, Self::Velocity, Self::Gpt];
+
+    /// Its name on the command line and in the run's folder.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::VqVae => "vqvae",
+            Self::Velocity => "velocity",
+            Self::Gpt => "gpt",
+        }
+    }
+
+    /// The stages whose weights it builds on.
+    pub(super) fn bases(self) -> &'static [Self] {
+        match self {
+            Self::VqVae => &[],
+            Self::Velocity | Self::Gpt => &[Self::VqVae],
+        }
+    }
+
+    /// Which of its checkpoints is used afterwards.
+    pub(super) fn keep(self, config: &Config) -> Keep {
+        match self {
+            Self::VqVae => config.vqvae.keep,
+            Self::Velocity => config.velocity.keep,
+            Self::Gpt => config.gpt.keep,
+        }
+    }
 }
 
 /// Runs a stage on the device that the configuration names. `init` is an official checkpoint to

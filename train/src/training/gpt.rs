@@ -7,7 +7,8 @@ use burn_tensor::{
 };
 
 use super::{
-    Config, FRAMES_PER_CODE, MotionSet, TrainError,
+    Config, FRAMES_PER_CODE, MotionSet, Stage, TrainError,
+    keep::settings,
     runner::{Losses, Plan, Work},
     saved::Saved,
     vqvae::{Trained, half_crops},
@@ -162,7 +163,7 @@ impl<'a, A: AutodiffBackend> GptWork<'a, A> {
             name: "gpt",
             run: &config.run,
             training: &stage.training,
-            settings: format!("seed {} {stage:?}", config.run.seed),
+            settings: settings(config, Stage::Gpt)?,
             store,
             windows: windows.len(),
         };

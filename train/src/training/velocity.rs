@@ -3,7 +3,8 @@
 use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend};
 
 use super::{
-    Config, MotionSet, TrainError,
+    Config, MotionSet, Stage, TrainError,
+    keep::settings,
     runner::{Losses, Plan, Work},
     saved::Saved,
     vqvae::{Halves, Trained, differences, half_crops},
@@ -48,7 +49,7 @@ impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
             name: "velocity",
             run: &config.run,
             training: &stage.training,
-            settings: format!("seed {} {stage:?}", config.run.seed),
+            settings: settings(config, Stage::Velocity)?,
             store,
             windows: windows.len(),
         };
