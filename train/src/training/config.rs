@@ -79,6 +79,7 @@ pub struct RunConfig {
     pub seed: u64,
     pub checkpoint_seconds: f64,
     pub log_steps: u64,
+    pub test_steps: u64,
 }
 
 /// Stage `vqvae`.
@@ -96,6 +97,8 @@ pub struct VqVaeConfig {
     pub decay: f64,
     pub restart_below: f64,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Stage `velocity`.
@@ -106,6 +109,8 @@ pub struct VelocityConfig {
     pub stride: usize,
     pub difference_weight: f64,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Stage `gpt`.
@@ -121,6 +126,8 @@ pub struct GptConfig {
     pub dropout: f64,
     pub standardise_music: bool,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Length and optimiser of a stage.
@@ -138,6 +145,16 @@ pub struct TrainingConfig {
     pub factor: f64,
     pub warmup_steps: u64,
     pub clip: f64,
+}
+
+/// Which weights of a finished stage are used afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Keep {
+    /// Those of the last step.
+    Last,
+    /// Those with the lowest test loss.
+    Best,
 }
 
 /// How the learning rate falls.
