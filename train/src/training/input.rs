@@ -2,12 +2,12 @@
 
 use std::{io::Write, marker::PhantomData, sync::Arc};
 
-use bailando::motion::{MotionError, Positions, to_dancer_frame};
+use bailando::motion::{MotionError, MotionFrame, Positions, to_dancer_frame};
 use ndarray::Array2;
 
 use super::{
     TrainError,
-    config::{DataConfig, MotionFrame},
+    config::DataConfig,
     songs::{MusicRows, song_rows},
 };
 use crate::data::{

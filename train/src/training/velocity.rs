@@ -88,7 +88,7 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
         let [rows, channels] = entries.dims();
         let entries = entries.reshape([windows.len(), rows / windows.len(), channels]);
 
-        let columns = self.config.data.frame.root_columns();
+        let columns = self.config.data.root_columns();
         let mut values = Vec::with_capacity(windows.len() * frames * columns.len());
         for window in windows {
             let piece = &pieces[window.dance];

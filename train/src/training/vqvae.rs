@@ -52,7 +52,7 @@ impl Halves {
             width: config.vqvae.width,
             embedding: config.vqvae.embedding,
             codes: config.vqvae.codes,
-            root_columns: config.data.frame.root_columns().len(),
+            root_columns: config.data.root_columns().len(),
         };
         Self::new(random_vqvae(sizes, config.run.seed))
     }
