@@ -3,7 +3,7 @@
 use std::{
     collections::BTreeMap,
     io::{self, Write},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
 use bailando::{features::Profile, model::Manifest, model::WeightStorage, motion::MotionFrame};
@@ -16,8 +16,11 @@ use crate::{
     },
     export::Description,
     import::{ImportOptions, import},
-    training::{Config, Limits, Load, MotionSet, Outcome, Stage, export, train},
+    training::{Config, Limits, MotionSet, Outcome, Stage, export, run_all, train},
 };
+
+/// What is said of a run that a limit ended.
+const PAUSED: &str = "paused: the same command goes on";
 
 /// Offline companion of bailando: makes the model directories that the server runs.
 #[derive(Debug, Parser)]
@@ -30,6 +33,8 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Import(Box<ImportArguments>),
+    /// Train everything that is not finished yet, stage by stage, and write the model directory
+    Run(WholeArguments),
     /// Train both halves of the pose VQ-VAE
     #[command(name = "vqvae")]
     VqVae(StageArguments),
@@ -47,9 +52,21 @@ struct RunArguments {
     /// Settings; what the file does not say is as published
     config: PathBuf,
 
-    /// Replace the model that is already there (export)
+    /// Replace the model that is already there
     #[arg(long)]
     force: bool,
+}
+
+/// Every stage goes on from its last checkpoint; a kill loses at most `run.checkpoint_seconds`.
+#[derive(Args, Debug)]
+struct WholeArguments {
+    #[command(flatten)]
+    run: RunArguments,
+
+    /// Write a checkpoint and stop after this many seconds, all stages together; the same command
+    /// goes on
+    #[arg(long, value_name = "S")]
+    max_seconds: Option<f64>,
 }
 
 /// A stage goes on from its last checkpoint; a kill loses at most `run.checkpoint_seconds`.
@@ -217,6 +234,7 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             report(&options, &manifest, output)?;
             Ok(())
         }
+        Command::Run(arguments) => train_all(&arguments, output),
         Command::VqVae(arguments) => train_stage(Stage::VqVae, &arguments, output),
         Command::Velocity(arguments) => train_stage(Stage::Velocity, &arguments, output),
         Command::Gpt(arguments) => train_stage(Stage::Gpt, &arguments, output),
@@ -240,15 +258,11 @@ fn train_stage(
     if let Some(cache) = &arguments.cache {
         config.data.cache.clone_from(cache);
     }
-    let load = match stage {
-        Stage::Gpt => Load::Music,
-        Stage::VqVae | Stage::Velocity => Load::Motion,
-    };
     anyhow::ensure!(
         arguments.init.is_none() || stage != Stage::Velocity,
         "velocity has no --init: it starts from the VQ-VAE of the run"
     );
-    let set = MotionSet::read(&config.data, load, output)?;
+    let set = MotionSet::read(&config.data, stage.load(), output)?;
     let limits = Limits {
         seconds: arguments.max_seconds,
         steps: arguments.max_steps,
@@ -256,9 +270,23 @@ fn train_stage(
     let init = arguments.init.as_deref();
     match train(stage, &config, &set, init, limits, output)? {
         Outcome::Finished => writeln!(output, "finished")?,
-        Outcome::Paused => writeln!(output, "paused: the same command goes on")?,
+        Outcome::Paused => writeln!(output, "{PAUSED}")?,
     }
     Ok(())
+}
+
+fn train_all(arguments: &WholeArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let config = Config::read(&arguments.run.config)?;
+    match run_all(&config, arguments.run.force, arguments.max_seconds, output)? {
+        Outcome::Finished => try_it(&config.export.folder, output)?,
+        Outcome::Paused => writeln!(output, "{PAUSED}")?,
+    }
+    Ok(())
+}
+
+fn try_it(model: &Path, output: &mut impl Write) -> io::Result<()> {
+    let model = model.display();
+    writeln!(output, "try it: bailando serve --model-dir {model}")
 }
 
 fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Result<()> {
@@ -334,9 +362,5 @@ fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write)
     for (name, file) in &manifest.files {
         writeln!(output, "  {name:<13} {:>8.1} MB", file.bytes as f64 / 1e6)?;
     }
-    writeln!(
-        output,
-        "try it: bailando serve --model-dir {}",
-        options.out.display()
-    )
+    try_it(&options.out, output)
 }

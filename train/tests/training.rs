@@ -11,12 +11,12 @@ mod common;
 
 use std::{fs, path::Path, sync::Arc};
 
-use bailando::{CancelToken, model::ModelDirectory, model::Steps, motion::MotionFrame};
+use bailando::{CancelToken, model::ModelDirectory, model::Steps};
 use bailando_train::{
     nn::{Codebook, DecoderNet, GptNet, Parameters, Store},
     training::{
-        Config, Dances, Limits, MotionPiece, MotionSet, Outcome, SongRows, Stage, export, train,
-        trained_weights,
+        Config, Dances, Limits, MotionFrame, MotionPiece, MotionSet, Outcome, SongRows, Stage,
+        export, train, trained_weights,
     },
 };
 use burn_flex::{Flex, FlexDevice};

@@ -7,6 +7,7 @@ mod staging;
 
 pub use error::ExportError;
 pub use skeleton::skeleton;
+pub(crate) use staging::check_target;
 
 use std::{collections::BTreeMap, path::Path};
 

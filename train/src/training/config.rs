@@ -39,11 +39,12 @@ pub struct DataConfig {
 }
 
 impl DataConfig {
-    /// Motion columns that the root's decoder gives: its velocity and, in the dancer's frame, the
-    /// turn.
-    pub(super) fn root_columns(&self) -> Vec<usize> {
-        let turn = 3 * JOINTS..self.frame.columns(JOINTS);
-        (0..3).chain(turn).collect()
+    /// Motion columns that the root's decoder gives.
+    pub(super) fn root_columns(&self) -> &'static [usize] {
+        match self.frame {
+            MotionFrame::World => &[0, 1, 2],
+            MotionFrame::Dancer => &[0, 1, 2, 3 * JOINTS],
+        }
     }
 
     /// Folder of the songs, where they are kept apart.
@@ -66,6 +67,7 @@ pub struct RunConfig {
     pub seed: u64,
     pub checkpoint_seconds: f64,
     pub log_steps: u64,
+    pub test_steps: u64,
 }
 
 /// Stage `vqvae`.
@@ -83,6 +85,8 @@ pub struct VqVaeConfig {
     pub decay: f64,
     pub restart_below: f64,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Stage `velocity`.
@@ -93,6 +97,8 @@ pub struct VelocityConfig {
     pub stride: usize,
     pub difference_weight: f64,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Stage `gpt`.
@@ -108,6 +114,8 @@ pub struct GptConfig {
     pub dropout: f64,
     pub standardise_music: bool,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Length and optimiser of a stage.
@@ -125,6 +133,16 @@ pub struct TrainingConfig {
     pub factor: f64,
     pub warmup_steps: u64,
     pub clip: f64,
+}
+
+/// Which weights of a finished stage are used afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Keep {
+    /// Those of the last step.
+    Last,
+    /// Those with the lowest test loss.
+    Best,
 }
 
 /// How the learning rate falls.

@@ -5,7 +5,7 @@ use std::{io::Write, path::Path};
 use burn_autodiff::Autodiff;
 
 use super::{
-    Config, Limits, MotionSet, Outcome, TrainError, gpt::GptWork, runner::run,
+    Config, Limits, Load, MotionSet, Outcome, TrainError, config::Keep, gpt::GptWork, runner::run,
     velocity::VelocityWork, vqvae::VqVaeWork,
 };
 use crate::nn::Trainable;
@@ -22,13 +22,42 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// Its name on the command line, and of its folder.
+    /// Every stage of a whole run, in its order.
+    pub const ALL: [Self; 3] = [Self::VqVae, Self::Velocity, Self::Gpt];
+
+    /// Its name on the command line and in the run's folder.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::VqVae => "vqvae",
             Self::Velocity => "velocity",
             Self::Gpt => "gpt",
+        }
+    }
+
+    /// What it needs of the data.
+    #[must_use]
+    pub fn load(self) -> Load {
+        match self {
+            Self::VqVae | Self::Velocity => Load::Motion,
+            Self::Gpt => Load::Music,
+        }
+    }
+
+    /// The stages whose weights it builds on.
+    pub(super) fn bases(self) -> &'static [Self] {
+        match self {
+            Self::VqVae => &[],
+            Self::Velocity | Self::Gpt => &[Self::VqVae],
+        }
+    }
+
+    /// Which of its checkpoints is used afterwards.
+    pub(super) fn keep(self, config: &Config) -> Keep {
+        match self {
+            Self::VqVae => config.vqvae.keep,
+            Self::Velocity => config.velocity.keep,
+            Self::Gpt => config.gpt.keep,
         }
     }
 }

@@ -2,13 +2,15 @@
 
 use std::collections::BTreeMap;
 
-use bailando::model::Manifest;
+use bailando::model::{Manifest, ModelDirectory};
 use burn_flex::{Flex, FlexDevice};
+use serde_json::Value;
 
 use super::{
-    Config, TrainError,
+    Config, Stage, TrainError,
     gpt::{MusicScale, random},
-    runner::{WEIGHT, checkpoint_path},
+    keep::{fingerprint, kept_path, read_kept},
+    runner::WEIGHT,
     saved::Saved,
     velocity::root,
     vqvae::Trained,
@@ -19,6 +21,9 @@ use crate::{
     weights::{GptWeights, HalfWeights, VqVaeWeights},
 };
 
+/// Entry of the manifest's `training`.
+const CHECKPOINTS: &str = "checkpoints";
+
 /// Writes the model directory of a finished run.
 ///
 /// # Errors
@@ -28,6 +33,7 @@ pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
     let training = [
         ("seed", config.run.seed.into()),
         ("data", config.data.folder.display().to_string().into()),
+        (CHECKPOINTS, checkpoints(config)?),
     ];
     let description = Description {
         name: config.export.name.clone(),
@@ -50,6 +56,22 @@ pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
     )?)
 }
 
+/// SHA-256 of the file that each stage contributes.
+fn checkpoints(config: &Config) -> Result<Value, TrainError> {
+    let sum = |stage: Stage| Ok((stage.name().to_owned(), fingerprint(config, stage)?.into()));
+    let sums: Result<_, TrainError> = Stage::ALL.into_iter().map(sum).collect();
+    Ok(Value::Object(sums?))
+}
+
+/// Whether the model directory is there and made of the stages as they are.
+pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
+    let Ok(directory) = ModelDirectory::open(&config.export.folder) else {
+        return Ok(false);
+    };
+    let made_of = directory.manifest().training.get(CHECKPOINTS);
+    Ok(made_of == Some(&checkpoints(config)?))
+}
+
 /// The weights of a finished run, and the pairs of codes that its training pieces begin with.
 ///
 /// # Errors
@@ -70,21 +92,22 @@ pub fn trained_weights(
         }
     };
     let (root, root_store) = root(config);
-    let (_, root_store) = finished(config, "velocity", |_| Ok(root_store))?;
+    let (_, root_store) = finished(config, Stage::Velocity, |_| Ok(root_store))?;
     let vqvae = VqVaeWeights {
         upper: half(upper_net, upper_codes),
         lower: half(lower_net, lower_codes),
         root: root.weights(&root_store),
     };
     let mut net = None;
-    let (saved, store) = finished(config, "gpt", |saved| {
+    let (saved, store) = finished(config, Stage::Gpt, |saved| {
         let mut store = Store::default();
         let columns = saved.tensor("music.mean")?.dim(0);
         net = Some(GptNet::new(&random(config, columns), &mut store));
         Ok(store)
     })?;
+    let path = kept_path(config, Stage::Gpt)?;
     let failed = |message: String| TrainError::State {
-        path: checkpoint_path(&config.run, "gpt"),
+        path: path.clone(),
         message,
     };
     let net = net.ok_or_else(|| failed("no network".into()))?;
@@ -106,17 +129,13 @@ pub fn trained_weights(
     Ok((vqvae, gpt, pairs))
 }
 
-/// The checkpoint of a finished stage, and its weights in the shape of a plan.
+/// What a finished stage keeps, and its weights in the shape of a plan.
 fn finished(
     config: &Config,
-    stage: &'static str,
+    stage: Stage,
     plan: impl FnOnce(&Saved) -> Result<Store, String>,
 ) -> Result<(Saved, Store), TrainError> {
-    let path = checkpoint_path(&config.run, stage);
-    let saved = Saved::read(&path)?.filter(|saved| saved.fact("finished") == "true");
-    let Some(saved) = saved else {
-        return Err(TrainError::StageMissing { stage, path });
-    };
+    let (path, saved) = read_kept(config, stage)?;
     let store = plan(&saved).and_then(|store| saved.fill(WEIGHT, &store));
     let store = store.map_err(|message| TrainError::State { path, message })?;
     Ok((saved, store))

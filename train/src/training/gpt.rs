@@ -5,8 +5,9 @@ use std::{collections::BTreeSet, io::Write, path::Path};
 use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax, backend::Backend};
 
 use super::{
-    Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, TrainError,
+    Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
     codes::{Augmentation, Codes},
+    keep::settings,
     runner::{Losses, Plan, Work},
     saved::Saved,
     vqvae::{Trained, test_means},
@@ -182,7 +183,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             name: "gpt",
             run: &config.run,
             training: &stage.training,
-            settings: set.settings(config, stage),
+            settings: settings(config, Stage::Gpt)?,
             store,
             windows: windows.len(),
         };

@@ -6,7 +6,7 @@ use bailando::motion::{MotionError, MotionFrame, Positions, to_dancer_frame};
 use ndarray::Array2;
 
 use super::{
-    Config, TrainError,
+    TrainError,
     config::DataConfig,
     songs::{MusicRows, song_rows},
 };
@@ -183,14 +183,6 @@ impl Dances<Training> {
         };
         self.pieces.iter().map(choice).collect()
     }
-
-    /// A short text that changes with the amount of data: resuming with other data is refused.
-    fn amount(&self) -> String {
-        let frames: usize = self.pieces.iter().map(MotionPiece::frames).sum();
-        let songs: usize = self.pieces.iter().map(|piece| piece.songs.len()).sum();
-        let dances = self.pieces.len();
-        format!("{dances} dances of {frames} frames with {songs} songs")
-    }
 }
 
 impl Dances<Evaluation> {
@@ -298,19 +290,5 @@ impl MotionSet {
             });
         }
         Ok(set)
-    }
-
-    /// All settings that the result of a stage depends on.
-    pub(super) fn settings(&self, config: &Config, stage: &impl std::fmt::Debug) -> String {
-        let data = &config.data;
-        format!(
-            "seed {} frame {:?} mirror {} phases {} {:?} {} {stage:?}",
-            config.run.seed,
-            data.frame,
-            data.mirror,
-            data.phases,
-            data.profile,
-            self.training.amount(),
-        )
     }
 }

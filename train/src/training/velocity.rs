@@ -3,8 +3,9 @@
 use burn_tensor::{Tensor as Device, TensorData, backend::Backend};
 
 use super::{
-    Config, MotionSet, TrainError,
+    Config, MotionSet, Stage, TrainError,
     input::MotionPiece,
+    keep::settings,
     runner::{Losses, Plan, Work},
     saved::Saved,
     vqvae::{Halves, Trained, differences, half_crops, test_means},
@@ -57,7 +58,7 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
             name: "velocity",
             run: &config.run,
             training: &stage.training,
-            settings: set.settings(config, stage),
+            settings: settings(config, Stage::Velocity)?,
             store,
             windows: windows.len(),
         };

@@ -5,9 +5,10 @@ use std::path::Path;
 use burn_tensor::{Tensor as Device, TensorData, backend::Backend};
 
 use super::{
-    Config, MotionSet, TrainError,
+    Config, MotionSet, Stage, TrainError,
     input::MotionPiece,
-    runner::{Losses, Plan, WEIGHT, Work, checkpoint_path},
+    keep::{read_kept, settings},
+    runner::{Losses, Plan, WEIGHT, Work},
     saved::Saved,
     windows::{Windows, generator},
 };
@@ -66,13 +67,7 @@ pub(super) struct Trained<B: Backend> {
 
 impl<B: Backend> Trained<B> {
     pub(super) fn read(config: &Config, device: &B::Device) -> Result<Self, TrainError> {
-        let path = checkpoint_path(&config.run, "vqvae");
-        let missing = || TrainError::StageMissing {
-            stage: "vqvae",
-            path: path.clone(),
-        };
-        let saved = Saved::read(&path)?.filter(|saved| saved.fact("finished") == "true");
-        let saved = saved.ok_or_else(missing)?;
+        let (path, saved) = read_kept(config, Stage::VqVae)?;
         let failed = |message| TrainError::State {
             path: path.clone(),
             message,
@@ -210,7 +205,7 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
             name: "vqvae",
             run: &config.run,
             training: &stage.training,
-            settings: set.settings(config, stage),
+            settings: settings(config, Stage::VqVae)?,
             store: halves.store,
             windows: windows.len(),
         };
