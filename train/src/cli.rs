@@ -3,24 +3,27 @@
 use std::{
     collections::BTreeMap,
     io::{self, Write},
-    path::PathBuf,
+    path::{Path, PathBuf},
 };
 
-use bailando::{features::Profile, model::Manifest, model::WeightStorage};
+use bailando::{features::Profile, model::Manifest, model::WeightStorage, motion::MotionFrame};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::{
     data::{
-        Dataset, FeatureCache, MusicLibrary, MusicSource, OpenOptions,
+        OpenOptions,
         check::{CheckOptions, check},
     },
     export::Description,
     import::{ImportOptions, import},
     training::{
-        Adaptation, Config, Limits, Load, MotionSet, Outcome, Song, Stage, actor_critic, adapt,
-        export, export_adapted, train,
+        Adaptation, Config, Limits, MotionSet, Outcome, Stage, adapt, export, export_adapted,
+        run_all, target_song, train,
     },
 };
+
+/// What is said of a run that a limit ended.
+const PAUSED: &str = "paused: the same command goes on";
 
 /// Offline companion of bailando: makes the model directories that the server runs.
 #[derive(Debug, Parser)]
@@ -33,6 +36,8 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Import(Box<ImportArguments>),
+    /// Train everything that is not finished yet, stage by stage, and write the model directory
+    Run(WholeArguments),
     /// Train both halves of the pose VQ-VAE
     #[command(name = "vqvae")]
     VqVae(StageArguments),
@@ -53,9 +58,21 @@ struct RunArguments {
     /// Settings; what the file does not say is as published
     config: PathBuf,
 
-    /// Replace the model that is already there (export)
+    /// Replace the model that is already there
     #[arg(long)]
     force: bool,
+}
+
+/// Every stage goes on from its last checkpoint; a kill loses at most `run.checkpoint_seconds`.
+#[derive(Args, Debug)]
+struct WholeArguments {
+    #[command(flatten)]
+    run: RunArguments,
+
+    /// Write a checkpoint and stop after this many seconds, all stages together; the same command
+    /// goes on
+    #[arg(long, value_name = "S")]
+    max_seconds: Option<f64>,
 }
 
 /// A stage goes on from its last checkpoint; a kill loses at most `run.checkpoint_seconds`.
@@ -67,6 +84,10 @@ struct StageArguments {
     /// Official checkpoint to start from (vqvae, gpt; of actor-critic and adapt: the critic)
     #[arg(long, value_name = "FILE.pt")]
     init: Option<PathBuf>,
+
+    /// Folder of music features (gpt) [default: `data.cache` of the settings]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
 
     /// Write a checkpoint and stop after this many seconds; the same command goes on
     #[arg(long, value_name = "S")]
@@ -242,10 +263,11 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             report(&options, &manifest, output)?;
             Ok(())
         }
+        Command::Run(arguments) => train_all(&arguments, output),
         Command::VqVae(arguments) => train_stage(Stage::VqVae, &arguments, output),
         Command::Velocity(arguments) => train_stage(Stage::Velocity, &arguments, output),
         Command::Gpt(arguments) => train_stage(Stage::Gpt, &arguments, output),
-        Command::ActorCritic(arguments) => train_policy(&arguments, output),
+        Command::ActorCritic(arguments) => train_stage(Stage::ActorCritic, &arguments, output),
         Command::Adapt(arguments) => adapt_policy(&arguments, output),
         Command::Export(arguments) => {
             let config = Config::read(&arguments.config)?;
@@ -263,34 +285,20 @@ fn train_stage(
     arguments: &StageArguments,
     output: &mut impl Write,
 ) -> anyhow::Result<()> {
-    let config = Config::read(&arguments.config)?;
-    let load = match stage {
-        Stage::Gpt => Load::Music(config.data.profile),
-        Stage::VqVae | Stage::Velocity => Load::Motion,
-    };
+    let config = arguments.config()?;
     anyhow::ensure!(
         arguments.init.is_none() || stage != Stage::Velocity,
         "velocity has no --init: it starts from the VQ-VAE of the run"
     );
-    let set = MotionSet::read(&config.data.folder, load)?;
+    let set = MotionSet::read(&config.data, stage.load(), output)?;
     let (init, limits) = (arguments.init.as_deref(), arguments.limits());
     let outcome = train(stage, &config, &set, init, limits, output)?;
     report_outcome(outcome, output)
 }
 
-fn train_policy(arguments: &StageArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let config = Config::read(&arguments.config)?;
-    let dataset = Dataset::open(&config.data.folder, &OpenOptions::default())?;
-    let songs = Song::of_training(&dataset.training()?, &mut music_library(&config)?)?;
-    let (init, limits) = (arguments.init.as_deref(), arguments.limits());
-    let outcome = actor_critic(&config, &songs, init, limits, output)?;
-    report_outcome(outcome, output)
-}
-
 fn adapt_policy(arguments: &AdaptArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let config = Config::read(&arguments.stage.config)?;
-    let music = MusicSource::Audio(arguments.song.clone());
-    let song = Song::read(&music, &mut music_library(&config)?)?;
+    let config = arguments.stage.config()?;
+    let song = target_song(&config.data, &arguments.song)?;
     let adaptation = Adaptation::new(&config, &arguments.song, song)?;
     let (init, limits) = (arguments.stage.init.as_deref(), arguments.stage.limits());
     let outcome = adapt(&config, &adaptation, init, limits, output)?;
@@ -305,20 +313,38 @@ fn adapt_policy(arguments: &AdaptArguments, output: &mut impl Write) -> anyhow::
     Ok(())
 }
 
-fn music_library(config: &Config) -> anyhow::Result<MusicLibrary> {
-    let cache = FeatureCache::open(&FeatureCache::default_folder()?)?;
-    Ok(MusicLibrary::new(cache, config.data.profile))
-}
-
 fn report_outcome(outcome: Outcome, output: &mut impl Write) -> anyhow::Result<()> {
     match outcome {
         Outcome::Finished => writeln!(output, "finished")?,
-        Outcome::Paused => writeln!(output, "paused: the same command goes on")?,
+        Outcome::Paused => writeln!(output, "{PAUSED}")?,
     }
     Ok(())
 }
 
+fn train_all(arguments: &WholeArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let config = Config::read(&arguments.run.config)?;
+    match run_all(&config, arguments.run.force, arguments.max_seconds, output)? {
+        Outcome::Finished => try_it(&config.export.folder, output)?,
+        Outcome::Paused => writeln!(output, "{PAUSED}")?,
+    }
+    Ok(())
+}
+
+fn try_it(model: &Path, output: &mut impl Write) -> io::Result<()> {
+    let model = model.display();
+    writeln!(output, "try it: bailando serve --model-dir {model}")
+}
+
 impl StageArguments {
+    /// The settings, with what the command line changes.
+    fn config(&self) -> anyhow::Result<Config> {
+        let mut config = Config::read(&self.config)?;
+        if let Some(cache) = &self.cache {
+            config.data.cache.clone_from(cache);
+        }
+        Ok(config)
+    }
+
     fn limits(&self) -> Limits {
         Limits {
             seconds: self.max_seconds,
@@ -367,6 +393,7 @@ impl From<ImportArguments> for ImportOptions {
                 },
                 start_codes: Vec::new(),
                 temperature: arguments.temperature,
+                motion_frame: MotionFrame::World,
                 root_height: arguments.root_height,
                 weights: match arguments.weights {
                     Weights::F16 => WeightStorage::F16,
@@ -399,9 +426,5 @@ fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write)
     for (name, file) in &manifest.files {
         writeln!(output, "  {name:<13} {:>8.1} MB", file.bytes as f64 / 1e6)?;
     }
-    writeln!(
-        output,
-        "try it: bailando serve --model-dir {}",
-        options.out.display()
-    )
+    try_it(&options.out, output)
 }

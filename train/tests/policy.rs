@@ -9,14 +9,14 @@
 #[path = "../src/data/testing.rs"]
 mod testing;
 
-use std::{fs, path::Path, process::Command};
+use std::{fs, path::Path, process::Command, sync::Arc};
 
 use bailando::model::ModelDirectory;
 use bailando_train::{
     export::skeleton,
     training::{
-        Adaptation, Config, Limits, MotionPiece, MotionSet, Outcome, Song, Stage, TrainError,
-        actor_critic, adapt, export, export_adapted, train, trained_weights,
+        Adaptation, Config, Dances, Limits, MotionFrame, MotionPiece, MotionSet, Outcome, Song,
+        SongRows, Stage, TrainError, adapt, export, export_adapted, train, trained_weights,
     },
 };
 use ndarray::{Array2, Array3};
@@ -41,10 +41,15 @@ fn motion_set() -> MotionSet {
             let swing = (time * (2.0 + (joint % 4) as f32) + axis as f32).sin();
             0.05 * joint as f32 * swing + 0.3 * (time + axis as f32).sin()
         });
-        MotionPiece::from_positions(&positions, music(phase), false)
+        // Phase 1 starts a frame later.
+        let phases = [0.0, 1.0 / 60.0].map(|start| Arc::new(music(phase + start)));
+        let piece = MotionPiece::from_positions(positions, MotionFrame::Dancer).unwrap();
+        piece.with_song(SongRows::new(phases.into()).unwrap())
     };
     MotionSet {
-        pieces: [0.0, 0.7, 1.9].map(piece).into(),
+        training: Dances::new([0.0, 0.7, 1.9].map(piece).into()),
+        test: None,
+        songs: [0.0, 0.7, 1.9].map(song).into(),
     }
 }
 
@@ -125,17 +130,24 @@ fn rewards_move_the_policy() {
     let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let [first, second] = folders.each_ref().map(|folder| folder.path());
     let config = run_to_gpt(first);
-    let songs = [0.0, 0.7, 1.9].map(song);
 
     let broken = copied(&config, second);
-    resumes_exactly(&config, &broken, &songs);
+    resumes_exactly(&config, &broken, &motion_set());
     only_policy_and_critic_move(&config);
     adapts(&config, first);
 }
 
-fn resumes_exactly(whole: &Config, broken: &Config, songs: &[Song]) {
+fn resumes_exactly(whole: &Config, broken: &Config, set: &MotionSet) {
     let run = |config: &Config, limits| {
-        actor_critic(config, songs, None, limits, &mut Vec::new()).unwrap()
+        train(
+            Stage::ActorCritic,
+            config,
+            set,
+            None,
+            limits,
+            &mut Vec::new(),
+        )
+        .unwrap()
     };
     // 3 pieces of 40 codes have 36 windows, so an epoch is 3 steps: within, and between epochs.
     for limits in [steps(1), steps(2), steps(1), steps(4)] {

@@ -9,13 +9,14 @@
 
 mod common;
 
-use std::{fs, path::Path};
+use std::{fs, path::Path, sync::Arc};
 
 use bailando::{CancelToken, model::ModelDirectory, model::Steps};
 use bailando_train::{
     nn::{Codebook, DecoderNet, GptNet, Parameters, Store},
     training::{
-        Config, Limits, MotionPiece, MotionSet, Outcome, Stage, export, train, trained_weights,
+        Config, Dances, Limits, MotionFrame, MotionPiece, MotionSet, Outcome, SongRows, Stage,
+        export, train, trained_weights,
     },
 };
 use burn_flex::{Flex, FlexDevice};
@@ -40,13 +41,20 @@ fn motion_set() -> MotionSet {
             let swing = (time * (2.0 + (joint % 4) as f32) + axis as f32).sin();
             0.05 * joint as f32 * swing + 0.3 * (time + axis as f32).sin()
         });
-        let music = Array2::from_shape_fn((61, 438), |(row, column)| {
-            (row as f32 / 7.5 + phase + column as f32).cos() * (1.0 + column as f32 / 50.0)
-        });
-        MotionPiece::from_positions(&positions, music, false)
+        let music = |start: usize| {
+            let start = phase + start as f32 / 60.0;
+            Arc::new(Array2::from_shape_fn((60, 438), |(row, column)| {
+                (row as f32 / 7.5 + start + column as f32).cos() * (1.0 + column as f32 / 50.0)
+            }))
+        };
+        let song = SongRows::new([0, 1].map(music).into()).unwrap();
+        let piece = MotionPiece::from_positions(positions, MotionFrame::Dancer).unwrap();
+        piece.with_song(song)
     };
     MotionSet {
-        pieces: [0.0, 0.7, 1.9].map(piece).into(),
+        training: Dances::new([0.0, 0.7, 1.9].map(piece).into()),
+        test: None,
+        songs: Vec::new(),
     }
 }
 
@@ -127,10 +135,11 @@ fn serves_the_same(config: &Config) {
     let velocity: Vec<f32> = velocity.iter::<f32>().collect();
     let mut decoder = directory.decoder(1).unwrap();
     let served = decoder.decode(&upper, &lower, &CancelToken::new()).unwrap();
-    assert_eq!(served.nrows() * 3, velocity.len());
-    for (frame, wanted) in velocity.chunks(3).enumerate() {
-        for axis in 0..3 {
-            assert!((served[[frame, axis]] - wanted[axis]).abs() <= TOLERANCE);
+    assert_eq!(served.nrows() * 4, velocity.len());
+    for (frame, wanted) in velocity.chunks(4).enumerate() {
+        // The turn follows all joints.
+        for (column, wanted) in [0, 1, 2, 72].into_iter().zip(wanted) {
+            assert!((served[[frame, column]] - wanted).abs() <= TOLERANCE);
         }
     }
 

@@ -7,12 +7,14 @@ mod staging;
 
 pub use error::ExportError;
 pub use skeleton::skeleton;
+pub(crate) use staging::check_target;
 
 use std::{collections::BTreeMap, path::Path};
 
 use bailando::{
     features::Profile,
     model::{Manifest, ModelDirectory, WeightStorage},
+    motion::MotionFrame,
 };
 
 use crate::{
@@ -34,6 +36,8 @@ pub struct Description {
     pub start_codes: Vec<[u32; 2]>,
     /// Default temperature; 0 takes the most likely code.
     pub temperature: f32,
+    /// Frame of the motion that the weights were trained on.
+    pub motion_frame: MotionFrame,
     /// Height in metres at which the root starts.
     pub root_height: f32,
     /// How weights are stored.

@@ -44,6 +44,10 @@ impl Staging {
             fs::create_dir_all(parent).map_err(failed(parent))?;
         }
         let folder = &staging.folder;
+        // A container gives every process the same number: what is there is of one that was killed.
+        if folder.exists() {
+            fs::remove_dir_all(folder).map_err(failed(folder))?;
+        }
         fs::create_dir(folder).map_err(failed(folder))?;
         Ok(staging)
     }
@@ -92,7 +96,8 @@ impl Drop for Staging {
     }
 }
 
-fn check_target(target: &Path, replace: bool) -> Result<(), ExportError> {
+/// Refuses a place where a model cannot be written.
+pub(crate) fn check_target(target: &Path, replace: bool) -> Result<(), ExportError> {
     if !target.exists() {
         return Ok(());
     }

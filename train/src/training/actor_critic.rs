@@ -3,11 +3,12 @@
 
 use std::path::Path;
 
-use burn_tensor::{Tensor as Device, backend::AutodiffBackend};
+use burn_tensor::Tensor as Device;
 
 use super::{
-    Config, TrainError,
+    Config, Stage, TrainError,
     config::{ActorCriticConfig, RunConfig},
+    keep::settings,
     lesson::Lesson,
     policy::{Policy, first_critic},
     reward::RewardRule,
@@ -15,17 +16,19 @@ use super::{
     runner::{Losses, Plan, Work},
     sampling::Sampler,
     saved::Saved,
-    songs::Song,
+    song::Song,
 };
 use crate::{
     checkpoint::Checkpoint,
-    nn::{CriticNet, Parameters, Store},
+    nn::{CriticNet, Parameters, Store, Trainable},
     weights::CriticWeights,
 };
 
 /// A stage that learns this way.
 pub(super) struct Task<'a> {
     pub(super) name: &'static str,
+    /// All that its result depends on.
+    pub(super) settings: String,
     pub(super) run: &'a RunConfig,
     pub(super) stage: &'a ActorCriticConfig,
     /// What it starts from.
@@ -36,7 +39,26 @@ pub(super) struct Task<'a> {
     pub(super) songs: &'a [Song],
 }
 
-pub(super) struct ActorCriticWork<'a, A: AutodiffBackend> {
+impl<'a> Task<'a> {
+    /// That of a run: the policy of its finished `gpt` on the songs of the training split.
+    pub(super) fn of_run(
+        config: &'a Config,
+        songs: &'a [Song],
+        init: Option<&'a Path>,
+    ) -> Result<Self, TrainError> {
+        Ok(Self {
+            name: Stage::ActorCritic.name(),
+            settings: settings(config, Stage::ActorCritic)?,
+            run: &config.run,
+            stage: &config.actor_critic,
+            policy: Policy::of_stage(config, Stage::Gpt)?,
+            init,
+            songs,
+        })
+    }
+}
+
+pub(super) struct ActorCriticWork<'a, A: Trainable> {
     stage: &'a ActorCriticConfig,
     batch: usize,
     base_layers: usize,
@@ -72,7 +94,7 @@ impl ActorCriticConfig {
     }
 
     /// What the result depends on.
-    fn settings(&self) -> String {
+    pub(super) fn settings(&self) -> String {
         let settings = Self {
             enabled: true,
             ..self.clone()
@@ -90,7 +112,7 @@ impl ActorCriticConfig {
     }
 }
 
-impl<'a, A: AutodiffBackend> ActorCriticWork<'a, A> {
+impl<'a, A: Trainable> ActorCriticWork<'a, A> {
     /// The critic starts from `init`, else from where the policy's own critic was left, else from
     /// random weights.
     pub(super) fn new(
@@ -114,7 +136,7 @@ impl<'a, A: AutodiffBackend> ActorCriticWork<'a, A> {
             name: task.name,
             run: task.run,
             training: &stage.training,
-            settings: format!("seed {} {}", config.run.seed, stage.settings()),
+            settings: task.settings,
             store,
             windows: steps_of_epoch * batch,
         };
@@ -151,7 +173,7 @@ impl<'a, A: AutodiffBackend> ActorCriticWork<'a, A> {
     }
 }
 
-impl<A: AutodiffBackend> Work<A> for ActorCriticWork<'_, A> {
+impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
     const COLUMNS: &'static [&'static str] = &[
         "loss",
         "actor",
@@ -356,6 +378,7 @@ mod tests {
         let (config, policy, songs) = toy(folder.path());
         let task = Task {
             name: "actor-critic",
+            settings: "toy".into(),
             run: &config.run,
             stage: &config.actor_critic,
             policy,

@@ -15,6 +15,7 @@ use super::{
     config::{ActorCriticConfig, RunConfig},
     device::learn_from_rewards,
     export,
+    keep::fingerprint,
     policy::Policy,
 };
 
@@ -77,8 +78,10 @@ pub fn adapt(
         training: config.adapt.training.clone(),
         ..config.actor_critic.clone()
     };
+    let base = fingerprint(config, Policy::latest_stage(config)?)?;
     let task = Task {
         name: STAGE,
+        settings: format!("seed {} {} on {base}", config.run.seed, stage.settings()),
         run: &run,
         stage: &stage,
         policy: Policy::latest(config)?,
@@ -98,7 +101,7 @@ pub fn export_adapted(
     folder: &Path,
     replace: bool,
 ) -> Result<Manifest, TrainError> {
-    let policy = Policy::read(config, &adaptation.run(config), STAGE)?;
+    let policy = Policy::of_folder(config, &adaptation.run(config), STAGE)?;
     let facts = [("adapted_to", adaptation.name.clone().into())];
     export::write(config, folder, policy, replace, facts)
 }

@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use bailando::{features::Profile, model::WeightStorage};
+use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
 use serde::{Deserialize, Serialize};
 
 use super::{TrainError, reward::BeatReward};
+use crate::data::{JOINTS, PHASES};
 
 /// The file that says every setting, with a comment on each.
 const BASE: &str = include_str!("../../presets/paper.toml");
@@ -28,9 +29,35 @@ pub struct Config {
 /// Where motion and music come from.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the commented preset is the documentation")]
 pub struct DataConfig {
     pub folder: PathBuf,
     pub profile: Profile,
+    pub audio: PathBuf,
+    pub cache: PathBuf,
+    pub frame: MotionFrame,
+    pub mirror: bool,
+    pub phases: usize,
+}
+
+impl DataConfig {
+    /// Motion columns that the root's decoder gives.
+    pub(super) fn root_columns(&self) -> &'static [usize] {
+        match self.frame {
+            MotionFrame::World => &[0, 1, 2],
+            MotionFrame::Dancer => &[0, 1, 2, 3 * JOINTS],
+        }
+    }
+
+    /// Folder of the songs, where they are kept apart.
+    pub(super) fn audio_folder(&self) -> Option<&Path> {
+        Some(self.audio.as_path()).filter(|folder| !folder.as_os_str().is_empty())
+    }
+
+    /// Folder of the music features, where it is not the usual one.
+    pub(super) fn cache_folder(&self) -> Option<&Path> {
+        Some(self.cache.as_path()).filter(|folder| !folder.as_os_str().is_empty())
+    }
 }
 
 /// Where and how a run happens.
@@ -42,6 +69,7 @@ pub struct RunConfig {
     pub seed: u64,
     pub checkpoint_seconds: f64,
     pub log_steps: u64,
+    pub test_steps: u64,
 }
 
 /// Stage `vqvae`.
@@ -59,6 +87,8 @@ pub struct VqVaeConfig {
     pub decay: f64,
     pub restart_below: f64,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Stage `velocity`.
@@ -69,6 +99,8 @@ pub struct VelocityConfig {
     pub stride: usize,
     pub difference_weight: f64,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Stage `gpt`.
@@ -84,6 +116,8 @@ pub struct GptConfig {
     pub dropout: f64,
     pub standardise_music: bool,
     pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
 }
 
 /// Stage `actor-critic`.
@@ -130,6 +164,16 @@ pub struct TrainingConfig {
     pub factor: f64,
     pub warmup_steps: u64,
     pub clip: f64,
+}
+
+/// Which weights of a finished stage are used afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Keep {
+    /// Those of the last step.
+    Last,
+    /// Those with the lowest test loss.
+    Best,
 }
 
 /// How the learning rate falls.
@@ -206,6 +250,10 @@ impl Config {
                     "{stage}: frames ({frames}) must be a multiple of 8 and stride ({stride}) at least 1"
                 ));
             }
+        }
+        let phases = self.data.phases;
+        if phases == 0 || phases > PHASES {
+            return Err(format!("data.phases ({phases}) must lie in 1..={PHASES}"));
         }
         let gpt = &self.gpt;
         if gpt.heads == 0 || !gpt.channels.is_multiple_of(gpt.heads) {
@@ -342,6 +390,8 @@ mod tests {
         for text in [
             "[vqvae]\nwidht = 3",
             "[vqvae]\nframes = 60",
+            "[data]\nphases = 9",
+            "[data]\nframe = \"sideways\"",
             "[gpt]\nheads = 5",
             "[gpt.training]\nrate = 0",
             "[actor_critic]\nactor_steps = 0",

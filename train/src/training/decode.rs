@@ -1,18 +1,14 @@
 //! Codes to dances, as the server decodes them but on the training device.
 
 use bailando::motion::{Positions, integrate_root, to_world_frame};
-use burn_tensor::{Int, Tensor as Device, TensorData, backend::Backend};
+use burn_tensor::{Int, Tensor as Device, TensorData};
 use ndarray::Array2;
 
 use super::{
-    Config, TrainError,
-    runner::{WEIGHT, checkpoint_path},
-    saved::Saved,
-    velocity::root,
-    vqvae::Trained,
+    Config, Stage, TrainError, keep::read_kept, runner::WEIGHT, velocity::root, vqvae::Trained,
 };
 use crate::{
-    nn::{DecoderNet, Parameters, Store, values},
+    nn::{DecoderNet, Kernels, Parameters, Store, values},
     weights::HALF_JOINTS,
 };
 
@@ -20,14 +16,14 @@ use crate::{
 const COLUMNS: usize = 72;
 
 /// The decoders of a finished VQ-VAE and its root branch.
-pub(super) struct DanceDecoder<B: Backend> {
+pub(super) struct DanceDecoder<B: Kernels> {
     trained: Trained<B>,
     root: DecoderNet,
     root_parameters: Parameters<B>,
     device: B::Device,
 }
 
-impl<B: Backend> DanceDecoder<B> {
+impl<B: Kernels> DanceDecoder<B> {
     pub(super) fn read(config: &Config, device: &B::Device) -> Result<Self, TrainError> {
         let (root, store) = trained_root(config)?;
         Ok(Self {
@@ -81,11 +77,9 @@ impl<B: Backend> DanceDecoder<B> {
 /// The root branch as its finished stage left it.
 pub(super) fn trained_root(config: &Config) -> Result<(DecoderNet, Store), TrainError> {
     let (root, store) = root(config);
-    let store = Saved::finished(&config.run, "velocity")?.fill(WEIGHT, &store);
-    let store = store.map_err(|message| TrainError::State {
-        path: checkpoint_path(&config.run, "velocity"),
-        message,
-    })?;
+    let (path, saved) = read_kept(config, Stage::Velocity)?;
+    let store = saved.fill(WEIGHT, &store);
+    let store = store.map_err(|message| TrainError::State { path, message })?;
     Ok((root, store))
 }
 

@@ -3,33 +3,21 @@
 use std::{io::Write, path::Path};
 
 use burn_autodiff::Autodiff;
-use burn_tensor::backend::AutodiffBackend;
 
 use super::{
-    Config, Limits, MotionSet, Outcome, Song, TrainError,
+    Config, Limits, MotionSet, Outcome, Stage, TrainError,
     actor_critic::{ActorCriticWork, Task},
     decode::DanceDecoder,
     gpt::GptWork,
-    policy::Policy,
     rollout::judge,
     runner::run,
     velocity::VelocityWork,
     vqvae::VqVaeWork,
 };
-
-/// A stage that learns.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Both halves of the pose VQ-VAE.
-    VqVae,
-    /// The root's velocity.
-    Velocity,
-    /// The motion GPT.
-    Gpt,
-}
+use crate::nn::Trainable;
 
 /// Runs a stage on the device that the configuration names. `init` is an official checkpoint to
-/// start from; `velocity` has none.
+/// start from; `velocity` has none, and for `actor-critic` it gives the critic alone.
 ///
 /// # Errors
 /// Any [`TrainError`]; the last checkpoint stays.
@@ -52,29 +40,6 @@ pub fn train(
     on_device(&config.run.device, job)
 }
 
-/// Runs stage `actor-critic` on the songs of the training split. `init` is an official checkpoint
-/// whose critic is the first; the policy is that of the finished `gpt`.
-///
-/// # Errors
-/// Any [`TrainError`]; the last checkpoint stays.
-pub fn actor_critic(
-    config: &Config,
-    songs: &[Song],
-    init: Option<&Path>,
-    limits: Limits,
-    output: &mut impl Write,
-) -> Result<Outcome, TrainError> {
-    let task = Task {
-        name: "actor-critic",
-        run: &config.run,
-        stage: &config.actor_critic,
-        policy: Policy::of_gpt(config)?,
-        init,
-        songs,
-    };
-    learn_from_rewards(config, task, limits, output)
-}
-
 /// The task of either stage that learns from rewards, on the configured device.
 pub(super) fn learn_from_rewards(
     config: &Config,
@@ -93,17 +58,46 @@ pub(super) fn learn_from_rewards(
 
 /// What is to be done on whichever device.
 trait Job {
-    fn run_on<A: AutodiffBackend>(self, device: &A::Device) -> Result<Outcome, TrainError>;
+    fn run_on<A: Trainable>(self, device: &A::Device) -> Result<Outcome, TrainError>;
 }
 
 fn on_device(name: &str, job: impl Job) -> Result<Outcome, TrainError> {
+    let unknown = |message: &str| TrainError::Device {
+        device: name.to_owned(),
+        message: message.to_owned(),
+    };
     match name {
         "cpu" => job.run_on::<Autodiff<burn_flex::Flex>>(&Default::default()),
-        other => Err(TrainError::Device {
-            device: other.to_owned(),
-            message: "expected cpu, the only device of this version".to_owned(),
+        #[cfg(feature = "cuda")]
+        "cuda" => guarded(name, || {
+            job.run_on::<Autodiff<burn_cuda::Cuda>>(&Default::default())
         }),
+        #[cfg(feature = "wgpu")]
+        "wgpu" => guarded(name, || {
+            job.run_on::<Autodiff<burn_wgpu::Wgpu>>(&Default::default())
+        }),
+        "cuda" | "wgpu" => Err(unknown(&format!(
+            "not in this build: cargo build --release -p bailando-train --features {name}"
+        ))),
+        _ => Err(unknown("expected cpu, cuda or wgpu")),
     }
+}
+
+/// An accelerator's library panics where there is no driver: that is an error like any other.
+#[cfg(any(feature = "cuda", feature = "wgpu"))]
+fn guarded(
+    device: &str,
+    job: impl FnOnce() -> Result<Outcome, TrainError>,
+) -> Result<Outcome, TrainError> {
+    let run = std::panic::AssertUnwindSafe(job);
+    std::panic::catch_unwind(run).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().map(String::as_str);
+        let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
+        Err(TrainError::Device {
+            device: device.to_owned(),
+            message: format!("failed: {}", text.unwrap_or("no reason given")),
+        })
+    })
 }
 
 struct StageJob<'a, O> {
@@ -116,20 +110,30 @@ struct StageJob<'a, O> {
 }
 
 impl<O: Write> Job for StageJob<'_, O> {
-    fn run_on<A: AutodiffBackend>(self, device: &A::Device) -> Result<Outcome, TrainError> {
+    fn run_on<A: Trainable>(self, device: &A::Device) -> Result<Outcome, TrainError> {
         let (config, set, init) = (self.config, self.set, self.init);
+        let (limits, output) = (self.limits, self.output);
         match self.stage {
             Stage::VqVae => {
                 let (plan, mut work) = VqVaeWork::<A>::new(config, set, init, device)?;
-                run::<A, _>(&plan, &mut work, device, self.limits, self.output)
+                run::<A, _>(&plan, &mut work, device, limits, output)
             }
             Stage::Velocity => {
                 let (plan, mut work) = VelocityWork::<A>::new(config, set, device)?;
-                run::<A, _>(&plan, &mut work, device, self.limits, self.output)
+                run::<A, _>(&plan, &mut work, device, limits, output)
             }
             Stage::Gpt => {
-                let (plan, mut work) = GptWork::<A>::new(config, set, init, device)?;
-                run::<A, _>(&plan, &mut work, device, self.limits, self.output)
+                let (plan, mut work) = GptWork::<A>::new(config, set, init, device, output)?;
+                run::<A, _>(&plan, &mut work, device, limits, output)
+            }
+            Stage::ActorCritic => {
+                let job = RewardJob {
+                    config,
+                    task: Task::of_run(config, &set.songs, init)?,
+                    limits,
+                    output,
+                };
+                job.run_on::<A>(device)
             }
         }
     }
@@ -143,7 +147,7 @@ struct RewardJob<'a, O> {
 }
 
 impl<O: Write> Job for RewardJob<'_, O> {
-    fn run_on<A: AutodiffBackend>(self, device: &A::Device) -> Result<Outcome, TrainError> {
+    fn run_on<A: Trainable>(self, device: &A::Device) -> Result<Outcome, TrainError> {
         let decoder = DanceDecoder::<A::InnerBackend>::read(self.config, device)?;
         let judge = judge(decoder, self.task.stage.rule());
         let (plan, mut work) = ActorCriticWork::<A>::new(self.config, self.task, judge, device)?;

@@ -2,14 +2,21 @@
 
 use std::path::Path;
 
-use bailando::model::Manifest;
+use bailando::model::{Manifest, ModelDirectory};
 use burn_flex::{Flex, FlexDevice};
+use serde_json::Value;
 
-use super::{Config, TrainError, decode::trained_root, policy::Policy, vqvae::Trained};
+use super::{
+    Config, Stage, TrainError, decode::trained_root, keep::fingerprint, policy::Policy,
+    vqvae::Trained,
+};
 use crate::{
     export::{Description, write_model_directory},
     weights::{GptWeights, HalfWeights, VqVaeWeights},
 };
+
+/// Entry of the manifest's `training`.
+const CHECKPOINTS: &str = "checkpoints";
 
 /// Writes the model directory of a finished run.
 ///
@@ -36,6 +43,7 @@ pub(super) fn write<const N: usize>(
     let training = [
         ("seed", config.run.seed.into()),
         ("data", config.data.folder.display().to_string().into()),
+        (CHECKPOINTS, checkpoints(config)?),
     ];
     let training = training.into_iter().chain(facts);
     let description = Description {
@@ -44,6 +52,7 @@ pub(super) fn write<const N: usize>(
         profile: config.data.profile,
         start_codes: policy.starts.clone(),
         temperature: config.export.temperature,
+        motion_frame: config.data.frame,
         root_height: config.export.root_height,
         weights: config.export.weights,
         training: training
@@ -57,6 +66,27 @@ pub(super) fn write<const N: usize>(
         &vqvae_weights(config)?,
         &description,
     )?)
+}
+
+/// The stages whose weights are exported.
+fn contributing(config: &Config) -> Result<[Stage; 3], TrainError> {
+    Ok([Stage::VqVae, Stage::Velocity, Policy::latest_stage(config)?])
+}
+
+/// SHA-256 of the file that each stage contributes.
+fn checkpoints(config: &Config) -> Result<Value, TrainError> {
+    let sum = |stage: Stage| Ok((stage.name().to_owned(), fingerprint(config, stage)?.into()));
+    let sums: Result<_, TrainError> = contributing(config)?.into_iter().map(sum).collect();
+    Ok(Value::Object(sums?))
+}
+
+/// Whether the model directory is there and made of the stages as they are.
+pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
+    let Ok(directory) = ModelDirectory::open(&config.export.folder) else {
+        return Ok(false);
+    };
+    let made_of = directory.manifest().training.get(CHECKPOINTS);
+    Ok(made_of == Some(&checkpoints(config)?))
 }
 
 /// The weights of a finished run, and the pairs of codes that its training pieces begin with.

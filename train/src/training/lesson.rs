@@ -1,18 +1,16 @@
 //! A batch of windows of generated pieces, and what they teach (paper Eq. 7-11).
 
-use burn_tensor::{
-    Int, Tensor as Device, TensorData, activation::log_softmax, backend::AutodiffBackend,
-};
+use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax};
 
 use super::{
     rollout::{Repertoire, Rollout},
     sampling::{Window, inputs},
 };
-use crate::nn::Logits;
+use crate::nn::{Logits, Trainable};
 
 /// A batch of windows of `block` codes: as many states, and one move fewer between them. (The 30th
 /// code of ARCHITECTURE section 6 is only the target of a move that no reward is known for.)
-pub(super) struct Lesson<A: AutodiffBackend> {
+pub(super) struct Lesson<A: Trainable> {
     pub(super) music: Device<A::InnerBackend, 3>,
     /// The codes so far in each state, `[windows, block]`.
     pub(super) states: [Device<A::InnerBackend, 2, Int>; 2],
@@ -24,7 +22,7 @@ pub(super) struct Lesson<A: AutodiffBackend> {
     shares: Device<A, 2>,
 }
 
-impl<A: AutodiffBackend> Lesson<A> {
+impl<A: Trainable> Lesson<A> {
     /// The windows' parts of the pieces.
     pub(super) fn new(
         repertoire: &Repertoire,

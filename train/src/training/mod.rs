@@ -3,6 +3,8 @@
 mod actor_critic;
 mod adam;
 mod adapt;
+mod chart;
+mod codes;
 mod config;
 mod decode;
 mod device;
@@ -10,27 +12,41 @@ mod error;
 mod export;
 mod gpt;
 mod input;
+mod keep;
 mod lesson;
+mod metrics;
+mod plots;
 mod policy;
+mod progress;
 mod reward;
 mod rollout;
 mod runner;
+#[cfg(test)]
+mod runner_tests;
 mod sampling;
 mod saved;
+mod song;
 mod songs;
+mod stage;
+mod state;
+#[cfg(test)]
+mod tests;
 mod velocity;
 mod vqvae;
+mod whole;
 mod windows;
 
 pub use adapt::{Adaptation, adapt, export_adapted};
-pub use config::{Config, Schedule, TrainingConfig};
-pub use device::{Stage, actor_critic, train};
+pub use bailando::motion::MotionFrame;
+pub use config::{Config, DataConfig, Keep, Schedule, TrainingConfig};
+pub use device::train;
 pub use error::TrainError;
 pub use export::{export, trained_weights};
-pub use input::{Load, MotionPiece, MotionSet};
+pub use input::{Dances, Load, MotionPiece, MotionSet, SongRows};
 pub use reward::{BeatReward, Reward, RewardRule};
 pub use runner::{Limits, Outcome};
-pub use songs::Song;
+pub use song::{Song, target_song};
+pub use stage::Stage;
+pub use whole::run_all;
 
-/// Motion frames of a code.
-const FRAMES_PER_CODE: usize = 8;
+use crate::data::FRAMES_PER_CODE;

@@ -3,9 +3,10 @@
 use ndarray::Array2;
 
 use super::{
-    Config, TrainError,
+    Config, Stage, TrainError,
     config::RunConfig,
     gpt::{MusicScale, random},
+    keep::{is_finished, read_kept},
     runner::{WEIGHT, checkpoint_path},
     saved::Saved,
 };
@@ -30,24 +31,27 @@ pub(super) struct Policy {
 }
 
 impl Policy {
-    /// That of stage `gpt`.
-    pub(super) fn of_gpt(config: &Config) -> Result<Self, TrainError> {
-        Self::read(config, &config.run, "gpt")
+    /// That of a finished stage, `gpt` or `actor-critic`.
+    pub(super) fn of_stage(config: &Config, stage: Stage) -> Result<Self, TrainError> {
+        let (path, saved) = read_kept(config, stage)?;
+        Self::restore(config, &saved).map_err(|message| TrainError::State { path, message })
     }
 
-    /// That of `actor-critic` where the run has that stage and it is finished, else of `gpt`.
-    pub(super) fn latest(config: &Config) -> Result<Self, TrainError> {
-        if config.actor_critic.enabled {
-            match Self::read(config, &config.run, "actor-critic") {
-                Err(TrainError::StageMissing { .. }) => {}
-                other => return other,
-            }
+    /// `actor-critic` where the run has that stage and it is finished, else `gpt`.
+    pub(super) fn latest_stage(config: &Config) -> Result<Stage, TrainError> {
+        if config.actor_critic.enabled && is_finished(config, Stage::ActorCritic)? {
+            return Ok(Stage::ActorCritic);
         }
-        Self::of_gpt(config)
+        Ok(Stage::Gpt)
     }
 
-    /// That of any stage in any run's folder.
-    pub(super) fn read(
+    /// That of [`Policy::latest_stage`].
+    pub(super) fn latest(config: &Config) -> Result<Self, TrainError> {
+        Self::of_stage(config, Self::latest_stage(config)?)
+    }
+
+    /// That of a stage in a folder beside the run.
+    pub(super) fn of_folder(
         config: &Config,
         run: &RunConfig,
         stage: &'static str,
@@ -80,7 +84,7 @@ impl Policy {
         })
     }
 
-    /// Takes what belongs to the weights into a checkpoint that [`Policy::read`] understands.
+    /// Takes what belongs to the weights into a checkpoint that [`Policy::of_stage`] understands.
     pub(super) fn save(&self, saved: &mut Saved) {
         let starts: Vec<f32> = self
             .starts

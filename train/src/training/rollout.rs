@@ -11,10 +11,10 @@ use super::{
     reward::RewardRule,
     sampling::{Sampler, Wish, unit},
     saved::Saved,
-    songs::Song,
+    song::Song,
     windows::generator,
 };
-use crate::Tensor;
+use crate::{Tensor, nn::Kernels};
 
 /// A generator's seed for each purpose.
 const EXCERPTS: u64 = 0x6578_6370;
@@ -240,7 +240,7 @@ pub(super) type Judge = Box<dyn Fn(&[Vec<i32>; 2], &[bool]) -> Vec<[f32; 3]>>;
 
 /// Judges by the decoded dance; pieces are decoded whole. No numbers where the decoder gives none,
 /// which ends the run.
-pub(super) fn judge<B: Backend>(decoder: DanceDecoder<B>, rule: RewardRule) -> Judge {
+pub(super) fn judge<B: Kernels>(decoder: DanceDecoder<B>, rule: RewardRule) -> Judge {
     Box::new(move |codes, music_beats| {
         let Some(positions) = decoder.positions(codes) else {
             return vec![[f32::NAN; 3]; codes[0].len()];

@@ -1,30 +1,24 @@
-//! The loop that all stages share: steps, progress, metrics, checkpoints, resuming.
+//! The loop that all stages share: steps, tests, progress, metrics, checkpoints, resuming.
 
-use std::{
-    fs,
-    io::Write,
-    path::{Path, PathBuf},
-    time::Instant,
+use std::{fs, io::Write, path::PathBuf, time::Instant};
+
+use burn_tensor::Tensor as Device;
+
+use super::{
+    TrainError, TrainingConfig, config::RunConfig, keep::CHECKPOINT_FILE, metrics::Metrics,
+    plots::Plots, progress::Progress, saved::Saved, state::State,
 };
+use crate::nn::{Parameters, Store, Trainable};
 
-use burn_tensor::{Tensor as Device, backend::AutodiffBackend};
-
-use super::{TrainError, TrainingConfig, adam::Adam, adam::clip, config::RunConfig, saved::Saved};
-use crate::{
-    Tensor,
-    nn::{Parameters, Store, values},
-};
-
-const FIRST_MOMENT: &str = "adam.first.";
-const SECOND_MOMENT: &str = "adam.second.";
-const METERS: &str = "meters";
 /// Prefix of the weights in a stage's checkpoint.
 pub(super) const WEIGHT: &str = "weight.";
 
 /// What a stage does in a step, and what it keeps beside weights.
-pub(super) trait Work<A: AutodiffBackend> {
+pub(super) trait Work<A: Trainable> {
     /// Names of the metrics; the first is the loss.
     const COLUMNS: &'static [&'static str];
+    /// Names of the metrics on the test split, the first is the loss that the best checkpoint is kept by; empty: none.
+    const TEST_COLUMNS: &'static [&'static str] = &[];
     /// The loss to follow downhill, and the metrics, one number each.
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A>;
     /// How many earlier steps moved the weights that `step` moves: what Adam corrects its averages
@@ -32,13 +26,18 @@ pub(super) trait Work<A: AutodiffBackend> {
     fn earlier_updates(&self, step: u64) -> u64 {
         step
     }
+    /// The metrics on the test split, without derivatives, dropout or change of any state; `None` where there is no test split.
+    fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {
+        let _ = parameters;
+        None
+    }
     /// Takes what it keeps beside weights into a checkpoint.
     fn save(&self, saved: &mut Saved);
     /// And back.
     fn restore(&mut self, saved: &Saved) -> Result<(), String>;
 }
 
-pub(super) struct Losses<A: AutodiffBackend> {
+pub(super) struct Losses<A: Trainable> {
     pub(super) loss: Device<A, 1>,
     pub(super) metrics: Vec<Device<A::InnerBackend, 1>>,
 }
@@ -72,26 +71,34 @@ pub enum Outcome {
     Paused,
 }
 
+/// The folder of a stage.
+pub(super) fn stage_folder(run: &RunConfig, stage: &str) -> PathBuf {
+    run.folder.join(stage)
+}
+
 /// The checkpoint of a stage.
 pub(super) fn checkpoint_path(run: &RunConfig, stage: &str) -> PathBuf {
-    run.folder.join(stage).join("checkpoint.safetensors")
+    stage_folder(run, stage).join(CHECKPOINT_FILE)
 }
 
 /// Runs a stage from its checkpoint, or from the plan's weights, to its end or a limit.
-pub(super) fn run<A: AutodiffBackend, W: Work<A>>(
+pub(super) fn run<A: Trainable, W: Work<A>>(
     plan: &Plan<'_>,
     work: &mut W,
     device: &A::Device,
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
-    let path = checkpoint_path(plan.run, plan.name);
-    let folder = plan.run.folder.join(plan.name);
+    let folder = stage_folder(plan.run, plan.name);
     fs::create_dir_all(&folder).map_err(TrainError::file(&folder))?;
-    let mut state = State::<A>::start(plan, work, device, &path)?;
-    let mut metrics = Metrics::open(folder.join("metrics.csv"), W::COLUMNS, state.step)?;
+    let mut state = State::<A>::start(plan, work, device, &folder)?;
+    let (columns, test_columns) = (W::COLUMNS, W::TEST_COLUMNS);
+    let path = folder.join("metrics.csv");
+    let mut metrics = Metrics::open(path, columns, test_columns, state.step)?;
     let total = plan.training.total_steps(plan.windows);
-    let (start, first_step) = (Instant::now(), state.step);
+    let first_step = state.step;
+    let progress = Progress::start(plan.name, first_step, total);
+    let mut plots = Plots::new(folder, plan.name);
     let mut saved_at = Instant::now();
     while state.step < total {
         let step = state.step;
@@ -101,29 +108,26 @@ pub(super) fn run<A: AutodiffBackend, W: Work<A>>(
         );
         let rate = plan.training.rate_at(step, total);
         state.advance(plan.training, work, rate);
+        report::<A, W>(
+            plan,
+            work,
+            &mut state,
+            total,
+            &mut metrics,
+            &progress,
+            output,
+        )?;
         let done = state.step;
-        if done.is_multiple_of(plan.run.log_steps) || done == total {
-            let means = state.means::<W>(plan.name)?;
-            metrics.append(done, rate, &means)?;
-            let each = start.elapsed().as_secs_f64() / (done - first_step) as f64;
-            let left = each * (total - done) as f64 / 60.0;
-            let loss = means.first().copied().unwrap_or(f32::NAN);
-            // Progress that cannot be shown is no reason to stop.
-            let _ = writeln!(
-                output,
-                "{} {done}/{total}  loss {loss:.5}  {each:.3} s/step  {left:.1} min left{}",
-                plan.name,
-                memory()
-            );
-        }
         let paused = limits.steps.is_some_and(|most| done - first_step >= most)
             || limits
                 .seconds
-                .is_some_and(|most| start.elapsed().as_secs_f64() >= most);
-        let due = saved_at.elapsed().as_secs_f64() >= plan.run.checkpoint_seconds;
-        if done == total || paused || due {
+                .is_some_and(|most| progress.seconds() >= most);
+        let stops = done == total || paused;
+        if stops || saved_at.elapsed().as_secs_f64() >= plan.run.checkpoint_seconds {
             metrics.sync()?;
-            state.save(plan, work, &path, total)?;
+            // Last of all the checkpoint: once it says that the stage is finished, nothing is done again.
+            plots.draw(stops, output);
+            state.save(plan, work, total)?;
             saved_at = Instant::now();
         }
         if paused && done < total {
@@ -133,210 +137,37 @@ pub(super) fn run<A: AutodiffBackend, W: Work<A>>(
     Ok(Outcome::Finished)
 }
 
-struct State<A: AutodiffBackend> {
-    parameters: Parameters<A::InnerBackend>,
-    adam: Adam<A::InnerBackend>,
-    step: u64,
-    /// Sums of the metrics since the last line.
-    sums: Vec<Device<A::InnerBackend, 1>>,
-    summed: f32,
-}
-
-impl<A: AutodiffBackend> State<A> {
-    fn start<W: Work<A>>(
-        plan: &Plan<'_>,
-        work: &mut W,
-        device: &A::Device,
-        path: &Path,
-    ) -> Result<Self, TrainError> {
-        let parameters = Parameters::from_store(&plan.store, device);
-        let mut state = Self {
-            adam: Adam::new(parameters.tensors(), plan.training.betas),
-            parameters,
-            step: 0,
-            sums: W::COLUMNS
-                .iter()
-                .map(|_| Device::zeros([1], device))
-                .collect(),
-            summed: 0.0,
-        };
-        if let Some(saved) = Saved::read(path)? {
-            let failed = |message| TrainError::State {
-                path: path.to_owned(),
-                message,
-            };
-            state.restore(plan, work, &saved, device).map_err(failed)?;
-        }
-        Ok(state)
+/// What there is to say about the last step: a test, a line of metrics, a line of progress.
+fn report<A: Trainable, W: Work<A>>(
+    plan: &Plan<'_>,
+    work: &W,
+    state: &mut State<A>,
+    total: u64,
+    metrics: &mut Metrics,
+    progress: &Progress,
+    output: &mut impl Write,
+) -> Result<(), TrainError> {
+    let (done, run) = (state.step, plan.run);
+    let due = |every: u64| every > 0 && (done.is_multiple_of(every) || done == total);
+    let test_due = due(run.test_steps) && !W::TEST_COLUMNS.is_empty();
+    if !test_due && !due(run.log_steps) {
+        return Ok(());
     }
-
-    fn restore<W: Work<A>>(
-        &mut self,
-        plan: &Plan<'_>,
-        work: &mut W,
-        saved: &Saved,
-        device: &A::Device,
-    ) -> Result<(), String> {
-        if saved.fact("settings") != plan.settings {
-            return Err(format!(
-                "made with other settings ({}): use another run.folder, or delete it",
-                saved.fact("settings")
-            ));
-        }
-        let step = saved.fact("step");
-        self.step = step.parse().map_err(|_| format!("`{step}` is no step"))?;
-        let load = |prefix: &str| -> Result<Parameters<A::InnerBackend>, String> {
-            Ok(Parameters::from_store(
-                &saved.fill(prefix, &plan.store)?,
-                device,
-            ))
-        };
-        self.parameters = load(WEIGHT)?;
-        self.adam.first = load(FIRST_MOMENT)?.tensors().to_vec();
-        self.adam.second = load(SECOND_MOMENT)?.tensors().to_vec();
-        let meters = saved.tensor(METERS)?.data();
-        let (summed, sums) = meters.split_first().ok_or("no meters")?;
-        self.summed = *summed;
-        for (sum, value) in self.sums.iter_mut().zip(sums) {
-            *sum = Device::from_floats([*value], device);
-        }
-        work.restore(saved)
+    let means = state.means::<W>(plan.name)?;
+    let tests = if test_due {
+        state.test(plan, work)?
+    } else {
+        None
+    };
+    let rate = plan.training.rate_at(done - 1, total);
+    metrics.append(done, rate, &means, tests.as_deref())?;
+    let mut losses = format!("loss {:.5}", means.first().unwrap_or(&f32::NAN));
+    for (column, value) in W::TEST_COLUMNS.iter().zip(tests.iter().flatten()) {
+        losses.push_str(&format!("  {column} {value:.5}"));
     }
-
-    fn advance<W: Work<A>>(&mut self, training: &TrainingConfig, work: &mut W, rate: f64) {
-        let tracked: Parameters<A> = self.parameters.tracked();
-        let Losses { loss, metrics } = work.step(&tracked, self.step);
-        let mut gradients = loss.backward();
-        let tensors = tracked.tensors().iter();
-        let mut gradients: Vec<_> = tensors.map(|t| t.grad_remove(&mut gradients)).collect();
-        clip(&mut gradients, training.clip);
-        let earlier = work.earlier_updates(self.step);
-        self.adam
-            .step(self.parameters.tensors_mut(), gradients, rate, earlier);
-        for (sum, value) in self.sums.iter_mut().zip(metrics) {
-            *sum = sum.clone() + value;
-        }
-        self.summed += 1.0;
-        self.step += 1;
+    if let Some(best) = state.best.filter(|_| tests.is_some()) {
+        losses.push_str(&format!("  (best {:.5} at {})", best.value, best.step));
     }
-
-    fn read_sums(&self) -> Vec<f32> {
-        self.sums.iter().flat_map(values).collect()
-    }
-
-    /// Means since the last line; starts the next.
-    fn means<W: Work<A>>(&mut self, stage: &'static str) -> Result<Vec<f32>, TrainError> {
-        let means: Vec<f32> = self
-            .read_sums()
-            .iter()
-            .map(|sum| sum / self.summed)
-            .collect();
-        self.check::<W>(&means, stage)?;
-        self.summed = 0.0;
-        for sum in &mut self.sums {
-            *sum = sum.zeros_like();
-        }
-        Ok(means)
-    }
-
-    fn check<W: Work<A>>(&self, values: &[f32], stage: &'static str) -> Result<(), TrainError> {
-        let wrong = W::COLUMNS
-            .iter()
-            .zip(values)
-            .find(|(_, value)| !value.is_finite());
-        wrong.map_or(Ok(()), |(column, &value)| {
-            Err(TrainError::NotFinite {
-                stage,
-                column,
-                value,
-                step: self.step,
-            })
-        })
-    }
-
-    fn save<W: Work<A>>(
-        &self,
-        plan: &Plan<'_>,
-        work: &W,
-        path: &Path,
-        total: u64,
-    ) -> Result<(), TrainError> {
-        let mut meters = vec![self.summed];
-        meters.extend(self.read_sums());
-        // A run that went wrong must not replace the checkpoint from before.
-        self.check::<W>(meters.get(1..).unwrap_or_default(), plan.name)?;
-        let mut saved = Saved::default();
-        saved.put(WEIGHT, &self.parameters.to_store(&plan.store));
-        let moments = [
-            (FIRST_MOMENT, &self.adam.first),
-            (SECOND_MOMENT, &self.adam.second),
-        ];
-        for (prefix, tensors) in moments {
-            saved.put(
-                prefix,
-                &plan.store.with_values(tensors.iter().map(values).collect()),
-            );
-        }
-        let meters = Tensor::from_fn(vec![meters.len()], |place| meters[place]);
-        saved.tensors.insert(METERS.into(), meters);
-        work.save(&mut saved);
-        let facts = [
-            ("stage", plan.name.to_owned()),
-            ("step", self.step.to_string()),
-            ("finished", (self.step >= total).to_string()),
-            ("settings", plan.settings.clone()),
-        ];
-        saved.facts = facts.map(|(name, value)| (name.to_owned(), value)).into();
-        saved.write(path)
-    }
-}
-
-/// `metrics.csv`: only what depends on settings and seed, so that runs can be compared by bytes.
-struct Metrics {
-    path: PathBuf,
-    file: fs::File,
-}
-
-impl Metrics {
-    /// Lines beyond `step` are of a run that was killed after its checkpoint: they are taken off.
-    fn open(path: PathBuf, columns: &[&str], step: u64) -> Result<Self, TrainError> {
-        let old = fs::read_to_string(&path).unwrap_or_default();
-        let mut text = format!("step,rate,{}\n", columns.join(","));
-        for line in old.lines().skip(1) {
-            let number = line
-                .split(',')
-                .next()
-                .and_then(|number| number.parse::<u64>().ok());
-            if number.is_some_and(|number| number <= step) {
-                text.push_str(line);
-                text.push('\n');
-            }
-        }
-        fs::write(&path, text).map_err(TrainError::file(&path))?;
-        let file = fs::OpenOptions::new().append(true).open(&path);
-        let file = file.map_err(TrainError::file(&path))?;
-        Ok(Self { path, file })
-    }
-
-    fn append(&mut self, step: u64, rate: f64, means: &[f32]) -> Result<(), TrainError> {
-        let means: Vec<String> = means.iter().map(f32::to_string).collect();
-        let line = format!("{step},{rate:e},{}\n", means.join(","));
-        self.file
-            .write_all(line.as_bytes())
-            .map_err(TrainError::file(&self.path))
-    }
-
-    fn sync(&mut self) -> Result<(), TrainError> {
-        self.file.sync_data().map_err(TrainError::file(&self.path))
-    }
-}
-
-/// Most memory used so far, where the system tells.
-fn memory() -> String {
-    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-    let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
-    kilobytes.map_or_else(String::new, |kilobytes| {
-        format!("  {:.2} GB at most", kilobytes / 1e6)
-    })
+    progress.show(done, &losses, output);
+    Ok(())
 }

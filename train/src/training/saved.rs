@@ -3,32 +3,68 @@
 use std::{
     collections::{BTreeMap, HashMap},
     fs::{self, File},
-    io::Write,
+    io::{self, Read, Write},
     path::Path,
 };
 
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use serde::Deserialize;
 
 use super::{TrainError, config::RunConfig, runner::checkpoint_path};
 use crate::{Tensor, nn::Store};
 
 /// Where the facts are in the file's metadata, as JSON.
 const FACTS: &str = "facts";
+/// What a file is called while it is written.
+const PARTIAL: &str = "partial";
+/// Bytes before the header that say its length.
+const LENGTH_BYTES: usize = 8;
+
+/// What the library writes before the tensors, as far as we read it ourselves.
+#[derive(Deserialize)]
+struct Header {
+    #[serde(rename = "__metadata__", default)]
+    metadata: HashMap<String, String>,
+}
+
+/// Facts about a checkpoint.
+pub(super) type Facts = BTreeMap<String, String>;
+
+/// Writes beside `path`, then takes its place: a kill leaves the old file or the new one.
+pub(super) fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let partial = path.with_extension(PARTIAL);
+    let mut file = File::create(&partial)?;
+    file.write_all(bytes)?;
+    file.sync_all()?;
+    fs::rename(&partial, path)
+}
+
+/// Removes what a kill left half written in a folder.
+pub(super) fn remove_partial(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path
+            .extension()
+            .is_some_and(|extension| extension == PARTIAL)
+        {
+            fs::remove_file(path)?;
+        }
+    }
+    Ok(())
+}
 
 /// Tensors by name, and facts about them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Saved {
     pub(super) tensors: BTreeMap<String, Tensor>,
-    pub(super) facts: BTreeMap<String, String>,
+    pub(super) facts: Facts,
 }
 
 impl Saved {
     /// The file's content, or nothing where there is no file.
     pub(super) fn read(path: &Path) -> Result<Option<Self>, TrainError> {
-        let bytes = match fs::read(path) {
-            Ok(bytes) => bytes,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(error) => return Err(TrainError::file(path)(error)),
+        let Some(bytes) = present(fs::read(path), path)? else {
+            return Ok(None);
         };
         Self::parse(&bytes)
             .map(Some)
@@ -45,6 +81,19 @@ impl Saved {
         saved.ok_or(TrainError::StageMissing { stage, path })
     }
 
+    /// The facts alone, without reading the tensors; nothing where there is no file.
+    pub(super) fn read_facts(path: &Path) -> Result<Option<Facts>, TrainError> {
+        let Some(header) = present(read_header(path), path)? else {
+            return Ok(None);
+        };
+        let header = serde_json::from_slice(&header).map_err(|error| error.to_string());
+        let facts = header.and_then(|header: Header| parse_facts(&header.metadata));
+        facts.map(Some).map_err(|message| TrainError::State {
+            path: path.to_owned(),
+            message,
+        })
+    }
+
     fn parse(bytes: &[u8]) -> Result<Self, String> {
         let text = |error: safetensors::SafeTensorError| error.to_string();
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(text)?;
@@ -59,32 +108,19 @@ impl Saved {
             let tensor = Tensor::new(view.shape().to_vec(), values);
             tensors.insert(name.to_owned(), tensor.map_err(|error| error.to_string())?);
         }
-        let facts = header
-            .metadata()
-            .as_ref()
-            .and_then(|facts| facts.get(FACTS));
         Ok(Self {
             tensors,
-            facts: facts.map_or(Ok(BTreeMap::new()), |facts| {
-                serde_json::from_str(facts).map_err(|error| error.to_string())
-            })?,
+            facts: parse_facts(header.metadata().as_ref().unwrap_or(&HashMap::new()))?,
         })
     }
 
-    /// Writes beside `path`, then takes its place: a kill leaves the old file or the new one.
+    /// Replaces the file at `path` in one step.
     pub(super) fn write(&self, path: &Path) -> Result<(), TrainError> {
-        let partial = path.with_extension("partial");
         let bytes = self.bytes().map_err(|message| TrainError::State {
             path: path.to_owned(),
             message,
         })?;
-        let write = || {
-            let mut file = File::create(&partial)?;
-            file.write_all(&bytes)?;
-            file.sync_all()?;
-            fs::rename(&partial, path)
-        };
-        write().map_err(TrainError::file(path))
+        replace_file(path, &bytes).map_err(TrainError::file(path))
     }
 
     fn bytes(&self) -> Result<Vec<u8>, String> {
@@ -143,6 +179,32 @@ impl Saved {
     }
 }
 
+/// Nothing in place of a file that is not there.
+fn present<T>(read: io::Result<T>, path: &Path) -> Result<Option<T>, TrainError> {
+    match read {
+        Ok(found) => Ok(Some(found)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(TrainError::file(path)(error)),
+    }
+}
+
+/// What the file says before the first tensor, as JSON.
+fn read_header(path: &Path) -> io::Result<Vec<u8>> {
+    let mut file = File::open(path)?;
+    let mut length = [0; LENGTH_BYTES];
+    file.read_exact(&mut length)?;
+    let mut header = Vec::new();
+    file.take(u64::from_le_bytes(length))
+        .read_to_end(&mut header)?;
+    Ok(header)
+}
+
+fn parse_facts(metadata: &HashMap<String, String>) -> Result<Facts, String> {
+    metadata.get(FACTS).map_or(Ok(Facts::new()), |facts| {
+        serde_json::from_str(facts).map_err(|error| error.to_string())
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,7 +222,22 @@ mod tests {
         let read = Saved::read(&path).unwrap().unwrap();
         assert_eq!(read.tensors, saved.tensors);
         assert_eq!(read.fact("step"), "4");
-        fs::write(&path, b"nonsense").unwrap();
+        assert_eq!(Saved::read_facts(&path).unwrap().unwrap(), saved.facts);
+        fs::write(&path, b"longer nonsense").unwrap();
         assert!(matches!(Saved::read(&path), Err(TrainError::State { .. })));
+        let facts = Saved::read_facts(&path);
+        assert!(matches!(facts, Err(TrainError::State { .. })));
+    }
+
+    #[test]
+    fn what_a_kill_left_half_written_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("loss.svg");
+        replace_file(&path, b"whole").unwrap();
+        fs::write(folder.path().join("best.partial"), b"ha").unwrap();
+        remove_partial(folder.path()).unwrap();
+        let left: Vec<_> = fs::read_dir(folder.path()).unwrap().collect();
+        assert_eq!(left.len(), 1);
+        assert_eq!(fs::read(&path).unwrap(), b"whole");
     }
 }

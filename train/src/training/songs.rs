@@ -1,51 +1,66 @@
-//! The music that a policy dances to: no dance is needed.
+//! Feature rows of all songs that a stage needs, from the cache or computed side by side.
 
-use std::collections::BTreeSet;
+use std::{
+    collections::{BTreeMap, HashMap},
+    io::Write,
+    sync::Arc,
+};
 
-use bailando::features::BEAT_COLUMN;
-use ndarray::Array2;
+use rayon::prelude::*;
 
-use crate::data::{DataError, MusicLibrary, MusicSource, Portion, Training};
+use super::{TrainError, config::DataConfig, input::SongRows};
+use crate::data::{DataError, FeatureCache, MusicLibrary, MusicSource};
 
-/// A song's features, and where its beats are.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Song {
-    /// `[rows, columns]` features, row `k` at frame `8 k`.
-    pub rows: Array2<f32>,
-    /// Whether there is a beat, by frame at 60 fps.
-    pub beats: Vec<bool>,
+/// Rows by song.
+pub(super) type MusicRows = HashMap<MusicSource, SongRows>;
+
+/// Songs between two lines of progress.
+const SONGS_A_LINE: usize = 16;
+
+/// The cache that the settings name.
+pub(super) fn feature_cache(data: &DataConfig) -> Result<FeatureCache, TrainError> {
+    Ok(match data.cache_folder() {
+        Some(folder) => FeatureCache::open(folder)?,
+        None => FeatureCache::open(&FeatureCache::default_folder()?)?,
+    })
 }
 
-impl Song {
-    /// Features and beats of a song; beats are column 53 of its features at 60 rows a second
-    /// (ARCHITECTURE section 7).
-    ///
-    /// # Errors
-    /// [`DataError`] names the file and what is wrong with it.
-    pub fn read(music: &MusicSource, library: &mut MusicLibrary) -> Result<Self, DataError> {
-        let rows = library.conditioning(music, 0)?;
-        let beats = library.beats(music, 0)?;
-        let beats = beats
-            .column(BEAT_COLUMN)
-            .into_iter()
-            .map(|&beat| beat > 0.5);
-        Ok(Self {
-            rows,
-            beats: beats.collect(),
-        })
+/// Rows of each of `wanted` for that many start phases, or for one where the song cannot be moved.
+pub(super) fn song_rows(
+    data: &DataConfig,
+    wanted: Vec<(MusicSource, usize)>,
+    output: &mut impl Write,
+) -> Result<MusicRows, TrainError> {
+    let mut songs: BTreeMap<MusicSource, usize> = BTreeMap::new();
+    for (song, phases) in wanted {
+        let phases = if song.can_shift() { phases } else { 1 };
+        let most = songs.entry(song).or_insert(phases);
+        *most = phases.max(*most);
     }
-
-    /// Every song of the training split, once.
-    ///
-    /// # Errors
-    /// As [`Song::read`].
-    pub fn of_training(
-        portion: &Portion<Training>,
-        library: &mut MusicLibrary,
-    ) -> Result<Vec<Self>, DataError> {
-        let songs = portion.dances().iter().flat_map(|dance| dance.songs());
-        let music: BTreeSet<&MusicSource> = songs.filter_map(|song| song.music.as_ref()).collect();
-        let songs = music.into_iter().map(|music| Self::read(music, library));
-        songs.collect()
+    let cache = feature_cache(data)?;
+    let songs: Vec<(MusicSource, usize)> = songs.into_iter().collect();
+    let mut rows = MusicRows::new();
+    let mut computed = 0;
+    for some in songs.chunks(SONGS_A_LINE) {
+        let library = || MusicLibrary::new(cache.clone(), data.profile);
+        let found = some
+            .par_iter()
+            .map_init(library, |library, (song, phases)| {
+                let before = library.computed();
+                let rows = library.phases(song, *phases)?;
+                Ok((rows, library.computed() - before))
+            });
+        let found: Vec<Result<_, DataError>> = found.collect();
+        for ((song, _), found) in some.iter().zip(found) {
+            let (phases, new) = found?;
+            computed += new;
+            let song_rows = SongRows::new(phases.into_iter().map(Arc::new).collect());
+            rows.extend(song_rows.map(|song_rows| (song.clone(), song_rows)));
+        }
+        if computed > 0 {
+            // Progress that cannot be shown is no reason to stop.
+            let _ = writeln!(output, "music of {}/{} songs", rows.len(), songs.len());
+        }
     }
+    Ok(rows)
 }
