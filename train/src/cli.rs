@@ -16,7 +16,7 @@ use crate::{
     },
     export::Description,
     import::{ImportOptions, import},
-    training::{Config, Limits, Load, MotionSet, Outcome, Stage, export, run_all, train},
+    training::{Config, Limits, MotionSet, Outcome, Stage, export, run_all, train},
 };
 
 /// What is said of a run that a limit ended.
@@ -78,6 +78,10 @@ struct StageArguments {
     /// Official checkpoint to start from (vqvae and gpt)
     #[arg(long, value_name = "FILE.pt")]
     init: Option<PathBuf>,
+
+    /// Folder of music features (gpt) [default: `data.cache` of the settings]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
 
     /// Write a checkpoint and stop after this many seconds; the same command goes on
     #[arg(long, value_name = "S")]
@@ -250,16 +254,15 @@ fn train_stage(
     arguments: &StageArguments,
     output: &mut impl Write,
 ) -> anyhow::Result<()> {
-    let config = Config::read(&arguments.config)?;
-    let load = match stage {
-        Stage::Gpt => Load::Music(config.data.profile),
-        Stage::VqVae | Stage::Velocity => Load::Motion,
-    };
+    let mut config = Config::read(&arguments.config)?;
+    if let Some(cache) = &arguments.cache {
+        config.data.cache.clone_from(cache);
+    }
     anyhow::ensure!(
         arguments.init.is_none() || stage != Stage::Velocity,
         "velocity has no --init: it starts from the VQ-VAE of the run"
     );
-    let set = MotionSet::read(&config.data.folder, load)?;
+    let set = MotionSet::read(&config.data, stage.load(), output)?;
     let limits = Limits {
         seconds: arguments.max_seconds,
         steps: arguments.max_steps,

@@ -9,13 +9,14 @@
 
 mod common;
 
-use std::{fs, path::Path};
+use std::{fs, path::Path, sync::Arc};
 
 use bailando::{CancelToken, model::ModelDirectory, model::Steps};
 use bailando_train::{
     nn::{Codebook, DecoderNet, GptNet, Parameters, Store},
     training::{
-        Config, Limits, MotionPiece, MotionSet, Outcome, Stage, export, train, trained_weights,
+        Config, Dances, Limits, MotionFrame, MotionPiece, MotionSet, Outcome, SongRows, Stage,
+        export, train, trained_weights,
     },
 };
 use burn_flex::{Flex, FlexDevice};
@@ -27,6 +28,7 @@ const TOLERANCE: f32 = 1e-4;
 
 fn config(folder: &Path) -> Config {
     let mut config = Config::parse(include_str!("../presets/tiny.toml")).unwrap();
+    config.data.frame = MotionFrame::World;
     config.run.folder = folder.join("run");
     config.export.folder = folder.join("model");
     config
@@ -40,13 +42,19 @@ fn motion_set() -> MotionSet {
             let swing = (time * (2.0 + (joint % 4) as f32) + axis as f32).sin();
             0.05 * joint as f32 * swing + 0.3 * (time + axis as f32).sin()
         });
-        let music = Array2::from_shape_fn((61, 438), |(row, column)| {
-            (row as f32 / 7.5 + phase + column as f32).cos() * (1.0 + column as f32 / 50.0)
-        });
-        MotionPiece::from_positions(&positions, music, false)
+        let music = |start: usize| {
+            let start = phase + start as f32 / 60.0;
+            Arc::new(Array2::from_shape_fn((60, 438), |(row, column)| {
+                (row as f32 / 7.5 + start + column as f32).cos() * (1.0 + column as f32 / 50.0)
+            }))
+        };
+        let song = SongRows::new([0, 1].map(music).into()).unwrap();
+        let piece = MotionPiece::from_positions(positions, MotionFrame::World).unwrap();
+        piece.with_song(song)
     };
     MotionSet {
-        pieces: [0.0, 0.7, 1.9].map(piece).into(),
+        training: Dances::new([0.0, 0.7, 1.9].map(piece).into()),
+        test: None,
     }
 }
 

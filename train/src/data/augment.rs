@@ -32,6 +32,16 @@ pub fn mirrored_joints() -> [usize; JOINTS] {
     OTHER_SIDE
 }
 
+/// Where a column of a mirrored dance comes from, and by which factor. Columns are x, y, z of each
+/// joint and, in the dancer's frame, the turn: a mirror turns the other way, and as it mirrors the
+/// facing as well, columns in the dancer's frame are mirrored like those in the world's.
+#[must_use]
+pub fn mirrored_column(column: usize) -> (usize, f32) {
+    let (joint, axis) = (column / 3, column % 3);
+    let other = OTHER_SIDE.get(joint).copied().unwrap_or(joint);
+    (3 * other + axis, if axis == 0 { -1.0 } else { 1.0 })
+}
+
 /// The dance without its first `phase` frames.
 ///
 /// Frame 0 is then `phase / 60` seconds into the song. Music rows come 7.5 times a second, so no
@@ -45,6 +55,8 @@ pub fn phase_cut(motion: &Motion, phase: usize) -> Motion {
 
 #[cfg(test)]
 mod tests {
+    use bailando::motion::to_dancer_frame;
+
     use super::*;
     use crate::{data::testing, export::skeleton};
 
@@ -70,6 +82,20 @@ mod tests {
         let left_hand = motion.positions()[[7, 22, 0]];
         assert_eq!(once.positions()[[7, 23, 0]], -left_hand);
         assert_eq!(once.positions()[[7, 23, 1]], motion.positions()[[7, 22, 1]]);
+    }
+
+    #[test]
+    fn columns_are_mirrored_like_positions_in_both_frames() {
+        let motion = Motion::new(testing::dance(&skeleton(0.9), 200, 1));
+        let turned = |motion: &Motion| to_dancer_frame(motion.positions()).unwrap();
+        for columns in [Motion::root_relative, Motion::root_velocity, turned] {
+            let (plain, wanted) = (columns(&motion), columns(&mirrored(&motion)));
+            for ((frame, column), wanted) in wanted.indexed_iter() {
+                let (source, factor) = mirrored_column(column);
+                let found = factor * plain[[frame, source]];
+                assert!((found - wanted).abs() < 1e-5, "{column}: {found} {wanted}");
+            }
+        }
     }
 
     #[test]

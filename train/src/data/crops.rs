@@ -5,7 +5,7 @@ use std::ops::Range;
 use rand::{RngExt, SeedableRng, seq::SliceRandom};
 use rand_chacha::ChaCha8Rng;
 
-use super::{FRAMES_PER_CODE, PHASES, Portion, Training};
+use super::{FRAMES_PER_CODE, PHASES};
 
 /// How dances are cut (ARCHITECTURE section 6: 240 frames; stride 40 for the VQ-VAE, 8 for root
 /// branch and GPT).
@@ -17,17 +17,26 @@ pub struct CropPlan {
     pub stride: usize,
     /// Whether half of the crops are mirrored.
     pub mirror: bool,
-    /// Start phases to draw from: 1 keeps every dance as it is, [`PHASES`] moves code boundaries
-    /// to every frame.
+}
+
+/// What can be drawn of a dance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Choice {
+    /// Frames; for training with music, those that have music ([`common_frames`]).
+    pub frames: usize,
+    /// Songs; none for motion alone.
+    pub songs: usize,
+    /// Start phases to draw from: 1 keeps the dance as it is, [`PHASES`] moves code boundaries to
+    /// every frame.
     pub phases: usize,
 }
 
-/// One crop of an epoch.
+/// One crop of a dance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Draw {
-    /// Index into [`Portion::dances`].
+    /// Which dance.
     pub dance: usize,
-    /// Index into the dance's songs.
+    /// Which of the dance's songs.
     pub song: usize,
     /// Frames cut off the dance (and as much time off the song) before anything else.
     pub phase: usize,
@@ -59,29 +68,34 @@ pub fn common_frames(frames: usize, rows: usize) -> usize {
     frames.min(rows.saturating_sub(1) * FRAMES_PER_CODE)
 }
 
-impl Portion<Training> {
-    /// The crops of one epoch in random order, the same for the same seed and epoch.
-    ///
-    /// `frames` are the lengths of the motions in the order of [`Portion::dances`]; for training
-    /// with music, of what has music ([`common_frames`]). A dance gives
-    /// each of its crops once, with a song drawn among its songs; one start phase is drawn per
-    /// dance and epoch. Dances whose music cannot be moved keep phase 0.
+impl CropPlan {
+    /// Crops of one round over all dances.
     #[must_use]
-    pub fn epoch(&self, plan: &CropPlan, frames: &[usize], seed: u64, epoch: u64) -> Vec<Draw> {
+    pub fn crops(&self, dances: &[Choice]) -> usize {
+        let starts = |dance: &Choice| crop_starts(dance.frames, self.frames, self.stride).count();
+        dances.iter().map(starts).sum()
+    }
+
+    /// The crops of a round in random order, the same for the same seed and round: each dance gives
+    /// each of its crops once, with a song, a start phase and a side drawn for each. A crop that a
+    /// phase pushes over the dance's end moves back by a code.
+    #[must_use]
+    pub fn round(&self, dances: &[Choice], seed: u64, round: u64) -> Vec<Draw> {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
-        generator.set_stream(epoch);
-        let mut draws = Vec::new();
-        for (dance, (content, &frames)) in self.dances().iter().zip(frames).enumerate() {
-            let drawn = generator.random_range(0..plan.phases.clamp(1, PHASES));
-            let phase = if content.can_shift() { drawn } else { 0 };
-            let left = frames.saturating_sub(phase);
-            for start in crop_starts(left, plan.frames, plan.stride) {
+        generator.set_stream(round);
+        let mut draws = Vec::with_capacity(self.crops(dances));
+        for (dance, choice) in dances.iter().enumerate() {
+            for start in crop_starts(choice.frames, self.frames, self.stride) {
+                let room = choice.frames - self.frames;
+                let phases = choice.phases.min(room + 1).clamp(1, PHASES);
+                let phase = generator.random_range(0..phases);
+                let over = start + phase > room;
                 draws.push(Draw {
                     dance,
-                    song: generator.random_range(0..content.songs().len().max(1)),
+                    song: generator.random_range(0..choice.songs.max(1)),
                     phase,
-                    start,
-                    mirrored: plan.mirror && generator.random::<bool>(),
+                    start: start.saturating_sub(if over { FRAMES_PER_CODE } else { 0 }),
+                    mirrored: self.mirror && generator.random::<bool>(),
                 });
             }
         }
@@ -118,6 +132,46 @@ mod tests {
         assert_eq!(starts(240), [0]);
         assert_eq!(starts(280), [0, 40]);
         assert_eq!(starts(319), [0, 40]);
+    }
+
+    #[test]
+    fn a_round_weighs_by_dance_and_repeats_by_seed() {
+        let plan = CropPlan {
+            frames: 240,
+            stride: 8,
+            mirror: true,
+        };
+        let dance = |songs, phases| Choice {
+            frames: 600,
+            songs,
+            phases,
+        };
+        // The last is as long as a crop: there is nothing to cut off.
+        let short = Choice {
+            frames: 240,
+            ..dance(1, PHASES)
+        };
+        let dances = [dance(2, PHASES), dance(1, PHASES), dance(0, 1), short];
+        let draws = plan.round(&dances, 7, 0);
+        assert_eq!(draws.len(), plan.crops(&dances));
+        let of = |dance| draws.iter().filter(move |draw| draw.dance == dance);
+        assert_eq!([0, 1, 2, 3].map(|dance| of(dance).count()), [46, 46, 46, 1]);
+        assert!(of(0).any(|draw| draw.song == 0) && of(0).any(|draw| draw.song == 1));
+        assert!(of(1).chain(of(2)).all(|draw| draw.song == 0));
+        assert!(of(2).chain(of(3)).all(|draw| draw.phase == 0));
+        assert!((0..PHASES).all(|phase| of(0).any(|draw| draw.phase == phase)));
+        assert!(draws.iter().any(|draw| draw.mirrored) && !draws.iter().all(|draw| draw.mirrored));
+        for draw in &draws {
+            assert!(draw.start % FRAMES_PER_CODE == 0 && draw.frames(240).end <= 600);
+        }
+        assert_eq!(draws, plan.round(&dances, 7, 0));
+        assert_ne!(draws, plan.round(&dances, 7, 1));
+        assert_ne!(draws, plan.round(&dances, 8, 0));
+        let plain = CropPlan {
+            mirror: false,
+            ..plan
+        };
+        assert!(plain.round(&dances, 7, 0).iter().all(|draw| !draw.mirrored));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use std::{
     collections::HashMap,
+    ops::Range,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -9,7 +10,7 @@ use std::{
 use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange, DecodedAudio, decode},
-    features::{FeatureExtractor, HOP, Profile, Rate},
+    features::{COLUMNS, FeatureExtractor, HOP, Profile, Rate},
 };
 use ndarray::{Array2, Axis, Slice};
 
@@ -53,7 +54,7 @@ impl MusicLibrary {
         phase: usize,
     ) -> Result<Array2<f32>, DataError> {
         match music {
-            MusicSource::Audio(path) => self.computed_rows(path, Rate::Conditioning, phase),
+            MusicSource::Audio(path) => self.one(path, Rate::Conditioning, phase),
             MusicSource::DanceRows(path) | MusicSource::Rows(path) if phase > 0 => Err(stored(
                 path,
                 "rows of 7.5 a second cannot be moved by single frames",
@@ -75,7 +76,7 @@ impl MusicLibrary {
     /// As [`MusicLibrary::conditioning`].
     pub fn beats(&mut self, music: &MusicSource, phase: usize) -> Result<Array2<f32>, DataError> {
         let rows = match music {
-            MusicSource::Audio(path) => self.computed_rows(path, Rate::Beats, 0)?,
+            MusicSource::Audio(path) => self.one(path, Rate::Beats, 0)?,
             MusicSource::DanceRows(path) | MusicSource::Rows(path) => match json::rows(path)? {
                 (rows, Rate::Beats) => rows,
                 _ => {
@@ -90,19 +91,63 @@ impl MusicLibrary {
         Ok(rows.slice_axis(Axis(0), Slice::from(phase..)).to_owned())
     }
 
+    /// [`MusicLibrary::conditioning`] of the first `count` start phases; the song is decoded once at
+    /// most.
+    ///
+    /// # Errors
+    /// As [`MusicLibrary::conditioning`].
+    pub fn phases(
+        &mut self,
+        music: &MusicSource,
+        count: usize,
+    ) -> Result<Vec<Array2<f32>>, DataError> {
+        match music {
+            MusicSource::Audio(path) => self.computed_rows(path, Rate::Conditioning, 0..count),
+            _ => (0..count)
+                .map(|phase| self.conditioning(music, phase))
+                .collect(),
+        }
+    }
+
+    fn one(&mut self, path: &Path, rate: Rate, phase: usize) -> Result<Array2<f32>, DataError> {
+        let rows = self.computed_rows(path, rate, phase..phase + 1)?.pop();
+        Ok(rows.unwrap_or_else(|| Array2::zeros((0, COLUMNS))))
+    }
+
     fn computed_rows(
         &mut self,
         path: &Path,
         rate: Rate,
-        phase: usize,
-    ) -> Result<Array2<f32>, DataError> {
+        phases: Range<usize>,
+    ) -> Result<Vec<Array2<f32>>, DataError> {
         let bytes = files::read(path)?;
-        let key = FeatureKey::new(&bytes, self.profile, rate, phase);
-        if let Some(rows) = self.cache.get(&key) {
-            return Ok(rows);
+        let key = |phase| FeatureKey::new(&bytes, self.profile, rate, phase);
+        let keys: Vec<(usize, FeatureKey)> = phases.map(|phase| (phase, key(phase))).collect();
+        let known = keys.iter().map(|(_, key)| self.cache.get(key));
+        let known: Vec<Option<Array2<f32>>> = known.collect();
+        if known.iter().all(Option::is_some) {
+            return Ok(known.into_iter().flatten().collect());
         }
         let decoded = decoded(path, bytes, &[rate.hz()])?;
         let signal = decoded.signals.first().map_or(&[][..], Vec::as_slice);
+        let mut all = Vec::with_capacity(keys.len());
+        for ((phase, key), known) in keys.into_iter().zip(known) {
+            let rows = match known {
+                Some(rows) => rows,
+                None => self.compute(path, signal, rate, (phase, &key))?,
+            };
+            all.push(rows);
+        }
+        Ok(all)
+    }
+
+    fn compute(
+        &mut self,
+        path: &Path,
+        signal: &[f32],
+        rate: Rate,
+        (phase, key): (usize, &FeatureKey),
+    ) -> Result<Array2<f32>, DataError> {
         let signal = signal.get(samples(phase, rate)..).unwrap_or_default();
         let profile = self.profile;
         let extractor = self.extractors.entry(rate.hz());
@@ -113,7 +158,7 @@ impl MusicLibrary {
                 path: path.to_owned(),
                 source,
             })?;
-        self.cache.put(&key, &rows)?;
+        self.cache.put(key, &rows)?;
         self.computed += 1;
         Ok(rows)
     }

@@ -1,8 +1,8 @@
 //! Training data: three layouts behind one [`Dataset`], splits kept apart by type, motion as the
 //! networks take it (ARCHITECTURE section 1), music rows computed by `bailando` and cached.
 //!
-//! [`Dataset::open`] → [`Dataset::training`] (or [`Dataset::evaluation`]) → [`Portion`] →
-//! [`Portion::epoch`] draws crops, [`Dance::motion`] and [`MusicLibrary`] fill them.
+//! [`Dataset::open`] → [`Dataset::training`] (or [`Dataset::evaluation`]) → [`Portion`]:
+//! [`CropPlan::round`] draws crops, [`Dance::motion`] and [`MusicLibrary`] fill them.
 //! [`check`] says in plain words what is wrong with a folder.
 
 mod aist;
@@ -22,13 +22,13 @@ mod portion;
 mod smpl;
 mod songs;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 
-pub use augment::{PHASES, mirrored, mirrored_joints, phase_cut};
+pub use augment::{PHASES, mirrored, mirrored_column, mirrored_joints, phase_cut};
 pub use cache::{FEATURE_VERSION, FeatureCache, FeatureKey};
-pub use crops::{CropPlan, Draw, common_frames, crop_starts, rows_beside};
+pub use crops::{Choice, CropPlan, Draw, common_frames, crop_starts, rows_beside};
 pub use dataset::{Dataset, Defect, Layout, MotionSource, MusicSource, OpenOptions, Piece, Split};
 pub use error::DataError;
 pub use library::MusicLibrary;

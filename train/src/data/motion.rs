@@ -15,7 +15,7 @@ pub struct Motion {
 
 impl Motion {
     /// Takes positions whose shape the readers have checked.
-    pub(super) fn new(positions: Positions) -> Self {
+    pub(crate) fn new(positions: Positions) -> Self {
         Self { positions }
     }
 
@@ -23,6 +23,11 @@ impl Motion {
     #[must_use]
     pub fn positions(&self) -> &Positions {
         &self.positions
+    }
+
+    /// The world positions alone.
+    pub(crate) fn into_positions(self) -> Positions {
+        self.positions
     }
 
     /// Number of frames.

@@ -29,6 +29,8 @@ pub struct VqVaeSizes {
     pub embedding: usize,
     /// Codebook entries of each half.
     pub codes: usize,
+    /// Columns of the root's decoder: 3, or 4 in the dancer's frame.
+    pub root_columns: usize,
 }
 
 /// Sizes of a motion GPT.
@@ -56,7 +58,7 @@ pub fn random_vqvae(sizes: VqVaeSizes, seed: u64) -> VqVaeWeights {
     VqVaeWeights {
         upper: half(sizes, 3 * upper.len(), &mut random),
         lower: half(sizes, 3 * lower.len(), &mut random),
-        root: decoder(sizes, 3, &mut random),
+        root: decoder(sizes, sizes.root_columns, &mut random),
     }
 }
 

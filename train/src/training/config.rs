@@ -6,6 +6,7 @@ use bailando::{features::Profile, model::WeightStorage};
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
+use crate::data::{JOINTS, PHASES};
 
 /// The file that says every setting, with a comment on each.
 const BASE: &str = include_str!("../../presets/paper.toml");
@@ -26,9 +27,47 @@ pub struct Config {
 /// Where motion and music come from.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the commented preset is the documentation")]
 pub struct DataConfig {
     pub folder: PathBuf,
     pub profile: Profile,
+    pub audio: PathBuf,
+    pub cache: PathBuf,
+    pub frame: MotionFrame,
+    pub mirror: bool,
+    pub phases: usize,
+}
+
+/// Which frame motion is learned in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MotionFrame {
+    /// Directions of the world.
+    World,
+    /// Turned with the dancer, and the rate of turning.
+    Dancer,
+}
+
+impl MotionFrame {
+    /// Motion columns that the root's decoder gives.
+    pub(super) fn root_columns(self) -> &'static [usize] {
+        match self {
+            Self::World => &[0, 1, 2],
+            Self::Dancer => &[0, 1, 2, 3 * JOINTS],
+        }
+    }
+}
+
+impl DataConfig {
+    /// Folder of the songs, where they are kept apart.
+    pub(super) fn audio_folder(&self) -> Option<&Path> {
+        Some(self.audio.as_path()).filter(|folder| !folder.as_os_str().is_empty())
+    }
+
+    /// Folder of the music features, where it is not the usual one.
+    pub(super) fn cache_folder(&self) -> Option<&Path> {
+        Some(self.cache.as_path()).filter(|folder| !folder.as_os_str().is_empty())
+    }
 }
 
 /// Where and how a run happens.
@@ -191,6 +230,10 @@ impl Config {
                 ));
             }
         }
+        let phases = self.data.phases;
+        if phases == 0 || phases > PHASES {
+            return Err(format!("data.phases ({phases}) must lie in 1..={PHASES}"));
+        }
         let gpt = &self.gpt;
         if gpt.heads == 0 || !gpt.channels.is_multiple_of(gpt.heads) {
             let (channels, heads) = (gpt.channels, gpt.heads);
@@ -301,6 +344,8 @@ mod tests {
         for text in [
             "[vqvae]\nwidht = 3",
             "[vqvae]\nframes = 60",
+            "[data]\nphases = 9",
+            "[data]\nframe = \"sideways\"",
             "[gpt]\nheads = 5",
             "[gpt.training]\nrate = 0",
             "[gpt.training]\nbetas = [1.0, 0.9]",

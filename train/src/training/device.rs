@@ -6,7 +6,7 @@ use burn_autodiff::Autodiff;
 use burn_tensor::backend::AutodiffBackend;
 
 use super::{
-    Config, Limits, MotionSet, Outcome, TrainError, config::Keep, gpt::GptWork, runner::run,
+    Config, Limits, Load, MotionSet, Outcome, TrainError, config::Keep, gpt::GptWork, runner::run,
     velocity::VelocityWork, vqvae::VqVaeWork,
 };
 
@@ -32,6 +32,15 @@ impl Stage {
             Self::VqVae => "vqvae",
             Self::Velocity => "velocity",
             Self::Gpt => "gpt",
+        }
+    }
+
+    /// What it needs of the data.
+    #[must_use]
+    pub fn load(self) -> Load {
+        match self {
+            Self::VqVae | Self::Velocity => Load::Motion,
+            Self::Gpt => Load::Music,
         }
     }
 
@@ -102,7 +111,7 @@ fn on<A: AutodiffBackend>(
             run::<A, _>(&plan, &mut work, &device, limits, output)
         }
         Stage::Gpt => {
-            let (plan, mut work) = GptWork::<A>::new(config, set, init, &device)?;
+            let (plan, mut work) = GptWork::<A>::new(config, set, init, &device, output)?;
             run::<A, _>(&plan, &mut work, &device, limits, output)
         }
     }

@@ -5,7 +5,9 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::{checkpoint::CheckpointError, export::ExportError, weights::WeightError};
+use crate::{
+    checkpoint::CheckpointError, data::DataError, export::ExportError, weights::WeightError,
+};
 
 /// Why a stage stopped.
 #[derive(Debug, thiserror::Error)]
@@ -82,6 +84,9 @@ pub enum TrainError {
         /// Why not.
         message: String,
     },
+    /// Training data that cannot be read.
+    #[error(transparent)]
+    Dataset(#[from] DataError),
     /// A checkpoint to start from.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),

@@ -1,22 +1,24 @@
 //! Stage `gpt`: the next codes from codes and music, on frozen codes of both halves.
 
-use std::path::Path;
+use std::{collections::BTreeSet, io::Write, path::Path};
 
 use burn_tensor::{
     Int, Tensor as Device, TensorData, activation::log_softmax, backend::AutodiffBackend,
+    backend::Backend,
 };
 
 use super::{
-    Config, FRAMES_PER_CODE, MotionSet, Stage, TrainError,
-    keep::settings,
+    Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
+    codes::{Augmentation, Codes},
     runner::{Losses, Plan, Work},
     saved::Saved,
-    vqvae::{Trained, half_crops},
-    windows::{Window, Windows},
+    vqvae::{Trained, test_means},
+    windows::Windows,
 };
 use crate::{
     Tensor,
     checkpoint::Checkpoint,
+    data::{CropPlan, Draw, Training, rows_beside},
     nn::{GptNet, GptSizes, Parameters, Store, random_gpt},
     weights::{GptWeights, Linear},
 };
@@ -32,7 +34,8 @@ pub(super) struct MusicScale {
 }
 
 impl MusicScale {
-    fn measure(set: &MotionSet, columns: usize, wanted: bool) -> Self {
+    /// Over the first phase of all songs; dances weigh the same however many songs they have.
+    fn measure(dances: &Dances<Training>, columns: usize, wanted: bool) -> Self {
         let mut scale = Self {
             mean: vec![0.0; columns],
             spread: vec![1.0; columns],
@@ -40,15 +43,20 @@ impl MusicScale {
         if !wanted {
             return scale;
         }
-        for column in 0..columns {
-            let (mut count, mut sum, mut squares) = (0.0_f64, 0.0_f64, 0.0_f64);
-            for value in set.training().flat_map(|piece| piece.music.column(column)) {
-                count += 1.0;
-                sum += f64::from(*value);
-                squares += f64::from(*value) * f64::from(*value);
+        let (mut total, mut sums) = (0.0_f64, vec![[0.0_f64; 2]; columns]);
+        for piece in dances.pieces() {
+            let weight = 1.0 / piece.songs().len() as f64;
+            for row in piece.songs().iter().flat_map(|song| song.phase(0).rows()) {
+                total += weight;
+                for ([sum, squares], &value) in sums.iter_mut().zip(row) {
+                    *sum += weight * f64::from(value);
+                    *squares += weight * f64::from(value) * f64::from(value);
+                }
             }
-            let mean = sum / count;
-            let variance = (squares / count - mean * mean).max(0.0);
+        }
+        for (column, [sum, squares]) in sums.into_iter().enumerate() {
+            let mean = sum / total;
+            let variance = (squares / total - mean * mean).max(0.0);
             scale.mean[column] = mean as f32;
             scale.spread[column] = (variance.sqrt() as f32).max(SMALLEST_SPREAD);
         }
@@ -89,8 +97,8 @@ pub(super) struct GptWork<'a, A: AutodiffBackend> {
     set: &'a MotionSet,
     windows: Windows,
     net: GptNet,
-    /// Upper and lower codes of each training piece.
-    codes: Vec<[Vec<i32>; 2]>,
+    codes: Codes,
+    test_codes: Option<Codes>,
     scale: MusicScale,
     device: A::Device,
 }
@@ -115,28 +123,42 @@ impl<'a, A: AutodiffBackend> GptWork<'a, A> {
         set: &'a MotionSet,
         init: Option<&Path>,
         device: &A::Device,
+        output: &mut impl Write,
     ) -> Result<(Plan<'a>, Self), TrainError> {
         let stage = &config.gpt;
         let too_short = TrainError::TooShort {
             length: stage.block + 1,
             unit: "codes",
         };
-        let columns = set.training().next().map(|piece| piece.music.ncols());
-        let Some(columns) = columns else {
+        let mut songs = set.training.pieces().iter().flat_map(MotionPiece::songs);
+        let Some(columns) = songs.next().map(|song| song.phase(0).ncols()) else {
             return Err(too_short);
         };
-        let codes = encode::<A>(config, set, device)?;
-        let rows = set.training().map(|piece| piece.music.nrows());
-        let lengths = codes
-            .iter()
-            .zip(rows)
-            .map(|([upper, _], rows)| upper.len().min(rows));
-        let seed = config.run.seed ^ 2;
-        let windows = Windows::new(lengths, stage.block + 1, stage.stride, seed);
+        let crops = CropPlan {
+            frames: (stage.block + 1) * FRAMES_PER_CODE,
+            stride: stage.stride * FRAMES_PER_CODE,
+            mirror: config.data.mirror,
+        };
+        let choices = set.training.music_choices(config.data.phases);
+        let windows = Windows::new(crops, choices, config.run.seed ^ 2);
         if windows.len() == 0 {
             return Err(too_short);
         }
-        let scale = MusicScale::measure(set, columns, stage.standardise_music);
+        let frozen = Trained::<A::InnerBackend>::read(config, device)?;
+        let mut encode = |pieces: &[MotionPiece], mirror, phases| {
+            Codes::encode(
+                &frozen,
+                pieces,
+                Augmentation { mirror, phases },
+                device,
+                output,
+            )
+        };
+        let data = &config.data;
+        let codes = encode(set.training.pieces(), data.mirror, data.phases);
+        let test_codes = set.test.as_ref();
+        let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
+        let scale = MusicScale::measure(&set.training, columns, stage.standardise_music);
         let mut store = Store::default();
         let mut net = GptNet::new(&random(config, columns), &mut store);
         if let Some(path) = init {
@@ -163,7 +185,7 @@ impl<'a, A: AutodiffBackend> GptWork<'a, A> {
             name: "gpt",
             run: &config.run,
             training: &stage.training,
-            settings: settings(config, Stage::Gpt)?,
+            settings: set.settings(config, Stage::Gpt)?,
             store,
             windows: windows.len(),
         };
@@ -173,6 +195,7 @@ impl<'a, A: AutodiffBackend> GptWork<'a, A> {
             windows,
             net,
             codes,
+            test_codes,
             scale,
             device: device.clone(),
         };
@@ -180,25 +203,37 @@ impl<'a, A: AutodiffBackend> GptWork<'a, A> {
     }
 
     /// Codes beside the windows, `offset` behind their starts, `[batch, block]`.
-    fn codes(&self, windows: &[Window], half: usize, offset: usize) -> Device<A, 2, Int> {
+    fn codes<B: Backend<Device = A::Device>>(
+        &self,
+        codes: &Codes,
+        windows: &[Draw],
+        half: usize,
+        offset: usize,
+    ) -> Device<B, 2, Int> {
         let block = self.config.gpt.block;
         let values: Vec<i32> = windows
             .iter()
-            .flat_map(|&(piece, start)| &self.codes[piece][half][start + offset..][..block])
+            .flat_map(|window| {
+                let first = window.start / FRAMES_PER_CODE + offset;
+                &codes.of(window)[half][first..][..block]
+            })
             .copied()
             .collect();
         let shape = [windows.len(), block];
         Device::from_data(TensorData::new(values, shape), &self.device)
     }
 
-    /// The row beside code `k` is row `k + 1` (ARCHITECTURE section 3).
-    fn music(&self, windows: &[Window]) -> Device<A, 3> {
+    pub(super) fn music<B: Backend<Device = A::Device>>(
+        &self,
+        pieces: &[MotionPiece],
+        windows: &[Draw],
+    ) -> Device<B, 3> {
         let (block, columns) = (self.config.gpt.block, self.scale.mean.len());
-        let pieces: Vec<_> = self.set.training().collect();
         let mut values = Vec::with_capacity(windows.len() * block * columns);
-        for &(piece, start) in windows {
-            for row in start + 1..start + 1 + block {
-                let row = pieces[piece].music.row(row);
+        for window in windows {
+            let rows = pieces[window.dance].songs()[window.song].phase(window.phase);
+            for row in rows_beside(window.codes(block * FRAMES_PER_CODE)) {
+                let row = rows.row(row);
                 let scale = self.scale.mean.iter().zip(&self.scale.spread);
                 values.extend(
                     row.iter()
@@ -210,29 +245,25 @@ impl<'a, A: AutodiffBackend> GptWork<'a, A> {
         let shape = [windows.len(), block, columns];
         Device::from_data(TensorData::new(values, shape), &self.device)
     }
-}
 
-/// The codes of every training piece, encoded whole.
-fn encode<A: AutodiffBackend>(
-    config: &Config,
-    set: &MotionSet,
-    device: &A::Device,
-) -> Result<Vec<[Vec<i32>; 2]>, TrainError> {
-    let frozen = Trained::<A::InnerBackend>::read(config, device)?;
-    let lengths = set.training().map(|piece| piece.motion.nrows());
-    let pieces = lengths.enumerate().map(|(piece, frames)| {
-        let frames = frames / FRAMES_PER_CODE * FRAMES_PER_CODE;
-        [0, 1].map(|half| {
-            if frames == 0 {
-                return Vec::new();
-            }
-            let motion = half_crops(set, &[(piece, 0)], frames, half, device);
-            let net = &frozen.halves.nets[half];
-            let codes = net.encode(&frozen.parameters, &frozen.codebooks[half], motion);
-            codes.into_data().iter::<i32>().collect()
-        })
-    });
-    Ok(pieces.collect())
+    /// Loss, cross-entropy of the upper and of the lower codes that come next.
+    fn losses<B: Backend<Device = A::Device>>(
+        &self,
+        parameters: &Parameters<B>,
+        (pieces, codes): (&[MotionPiece], &Codes),
+        windows: &[Draw],
+        dropout: f64,
+    ) -> [Device<B, 1>; 3] {
+        let history = [0, 1].map(|half| self.codes(codes, windows, half, 0));
+        let music = self.music(pieces, windows);
+        let logits = self.net.forward(parameters, music, history, dropout);
+        let entropy = |logits: Device<B, 3>, half| {
+            let targets = self.codes(codes, windows, half, 1).unsqueeze_dim::<3>(2);
+            log_softmax(logits, 2).gather(2, targets).mean().neg()
+        };
+        let (upper, lower) = (entropy(logits.upper, 0), entropy(logits.lower, 1));
+        [upper.clone() + lower.clone(), upper, lower]
+    }
 }
 
 impl<A: AutodiffBackend> Work<A> for GptWork<'_, A> {
@@ -241,20 +272,25 @@ impl<A: AutodiffBackend> Work<A> for GptWork<'_, A> {
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
         let stage = &self.config.gpt;
         let windows = self.windows.batch(step, stage.training.batch);
-        let codes = [0, 1].map(|half| self.codes(&windows, half, 0));
-        let music = self.music(&windows);
-        let logits = self.net.forward(parameters, music, codes, stage.dropout);
-        let entropy = |logits: Device<A, 3>, half| {
-            let targets = self.codes(&windows, half, 1).unsqueeze_dim::<3>(2);
-            log_softmax(logits, 2).gather(2, targets).mean().neg()
-        };
-        let (upper, lower) = (entropy(logits.upper, 0), entropy(logits.lower, 1));
-        let loss = upper.clone() + lower.clone();
-        let metrics = [loss.clone(), upper, lower].map(Device::inner);
+        let examples = (self.set.training.pieces(), &self.codes);
+        let losses = self.losses(parameters, examples, &windows, stage.dropout);
+        let [loss, ..] = losses.clone();
         Losses {
             loss,
-            metrics: metrics.into(),
+            metrics: losses.map(Device::inner).into(),
         }
+    }
+
+    const TEST_COLUMNS: &'static [&'static str] = &["test_loss", "test_upper", "test_lower"];
+
+    fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {
+        let stage = &self.config.gpt;
+        let (test, codes) = (self.set.test.as_ref()?, self.test_codes.as_ref()?);
+        let stride = stage.block * FRAMES_PER_CODE;
+        let windows = test.crops_with_music(stride + FRAMES_PER_CODE, stride);
+        test_means(&windows, stage.training.batch, |windows| {
+            self.losses(parameters, (test.pieces(), codes), windows, 0.0)
+        })
     }
 
     fn save(&self, saved: &mut Saved) {
@@ -266,14 +302,8 @@ impl<A: AutodiffBackend> Work<A> for GptWork<'_, A> {
         saved
             .tensors
             .insert("music.spread".into(), column(&scale.spread));
-        let starts = self
-            .codes
-            .iter()
-            .filter_map(|[upper, lower]| Some([*upper.first()? as f32, *lower.first()? as f32]));
-        let mut starts: Vec<[f32; 2]> = starts.collect();
-        starts.sort_by(|a, b| a.partial_cmp(b).unwrap_or(std::cmp::Ordering::Equal));
-        starts.dedup();
-        let values: Vec<f32> = starts.concat();
+        let starts: BTreeSet<[i32; 2]> = self.codes.starts().collect();
+        let values: Vec<f32> = starts.iter().flatten().map(|&code| code as f32).collect();
         let starts = Tensor::from_fn(vec![starts.len(), 2], |place| values[place]);
         saved.tensors.insert("start_codes".into(), starts);
     }

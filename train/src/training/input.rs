@@ -1,60 +1,240 @@
-//! What the stages take in, and a plain reader of our own data folder.
+//! What the stages take in: dances in memory, the two splits kept apart by type.
 
-use std::path::Path;
+use std::{io::Write, marker::PhantomData, sync::Arc};
 
-use bailando::{
-    CancelToken,
-    audio::{self, AudioLimits, AudioRange},
-    features::{FeatureExtractor, Profile, Rate},
+use bailando::motion::{MotionError, Positions, to_dancer_frame};
+use ndarray::Array2;
+
+use super::{
+    Config, Stage, TrainError,
+    config::{DataConfig, MotionFrame},
+    keep::settings,
+    songs::{MusicRows, song_rows},
 };
-use ndarray::{Array2, Array3};
-use serde::Deserialize;
+use crate::data::{
+    Choice, DataError, Dataset, Draw, Evaluation, Motion, OpenOptions, Portion, Song, SplitKind,
+    Training, common_frames, mirrored_column,
+};
 
-use super::TrainError;
-
-/// Columns of a motion frame.
-const COLUMNS: usize = 72;
-
-/// A dance and the music beside it.
+/// A dance and the songs that go with it.
 #[derive(Clone, Debug)]
 pub struct MotionPiece {
-    /// Whether it is of the test split.
-    pub test: bool,
     /// `[frames, 72]` at 60 fps: the root's velocity (metres per frame) in columns 0..2, the other
-    /// joints relative to the root, as the decoder gives them (ARCHITECTURE section 2).
-    pub motion: Array2<f32>,
-    /// `[rows, columns]` features, row `k` at frame `8 k`; empty where music was not asked for.
-    pub music: Array2<f32>,
+    /// joints relative to the root, as the decoder gives them (ARCHITECTURE section 2); in the
+    /// dancer's frame `[frames, 73]`, turned, with the turn in the last column.
+    motion: Array2<f32>,
+    songs: Vec<SongRows>,
 }
 
-impl MotionPiece {
-    /// From joints in world space, `[frames, 24, 3]` metres.
+/// Conditioning rows of a song, row `k` at frame `8 k`, for each start phase from 0 on.
+#[derive(Clone, Debug)]
+pub struct SongRows(Vec<Arc<Array2<f32>>>);
+
+impl SongRows {
+    /// Takes `[rows, columns]` of the whole song, then of the song without its first frame, and so
+    /// on; one entry for a song that cannot be moved. None without any.
     #[must_use]
-    pub fn from_positions(positions: &Array3<f32>, music: Array2<f32>, test: bool) -> Self {
-        let frames = positions.shape().first().copied().unwrap_or(0);
-        let motion = Array2::from_shape_fn((frames, COLUMNS), |(frame, column)| {
-            let (joint, axis) = (column / 3, column % 3);
-            let root = |frame: usize| positions[[frame, 0, axis]];
-            if joint > 0 {
-                return positions[[frame, joint, axis]] - root(frame);
-            }
-            // The last velocity is the one before it, repeated.
-            let from = frame.min(frames.saturating_sub(2));
-            root((from + 1).min(frames - 1)) - root(from)
-        });
-        Self {
-            test,
-            motion,
-            music,
-        }
+    pub fn new(phases: Vec<Arc<Array2<f32>>>) -> Option<Self> {
+        (!phases.is_empty()).then_some(Self(phases))
+    }
+
+    /// Rows of the song without its first `phase` frames, which must be among those known.
+    pub(super) fn phase(&self, phase: usize) -> &Array2<f32> {
+        &self.0[phase]
     }
 }
 
-/// The pieces of a data set.
-#[derive(Clone, Debug, Default)]
+impl MotionPiece {
+    /// From joints in world space, `[frames, 24, 3]` metres; without songs.
+    ///
+    /// # Errors
+    /// [`MotionError::Shape`] for other joints.
+    pub fn from_positions(positions: Positions, frame: MotionFrame) -> Result<Self, MotionError> {
+        let columns = match frame {
+            MotionFrame::Dancer => to_dancer_frame(&positions)?,
+            MotionFrame::World => {
+                let motion = Motion::new(positions);
+                let mut columns = motion.root_relative();
+                for (place, &step) in motion.root_velocity().indexed_iter() {
+                    columns[place] = step;
+                }
+                columns
+            }
+        };
+        Ok(Self {
+            motion: columns,
+            songs: Vec::new(),
+        })
+    }
+
+    /// With one more song.
+    #[must_use]
+    pub fn with_song(mut self, song: SongRows) -> Self {
+        self.songs.push(song);
+        self
+    }
+
+    /// Number of frames.
+    #[must_use]
+    pub fn frames(&self) -> usize {
+        self.motion.nrows()
+    }
+
+    /// The songs.
+    #[must_use]
+    pub fn songs(&self) -> &[SongRows] {
+        &self.songs
+    }
+
+    /// Frames that have music whatever song is drawn.
+    pub(super) fn frames_with_music(&self) -> usize {
+        let rows = self.songs.iter().map(|song| song.phase(0).nrows()).min();
+        common_frames(self.frames(), rows.unwrap_or(0))
+    }
+
+    /// Start phases, at most `wanted`, that all of its songs have rows of.
+    pub(super) fn phases(&self, wanted: usize) -> usize {
+        let known = self.songs.iter().map(|song| song.0.len()).min();
+        known.map_or(wanted, |known| known.min(wanted)).max(1)
+    }
+
+    /// A value of the dance or of its mirror image.
+    pub(super) fn value(&self, frame: usize, column: usize, mirrored: bool) -> f32 {
+        if !mirrored {
+            return self.motion[[frame, column]];
+        }
+        let (source, factor) = mirrored_column(column);
+        factor * self.motion[[frame, source]]
+    }
+}
+
+/// The dances of one split: what takes `Dances<Training>` cannot be given a test dance.
+#[derive(Clone, Debug)]
+pub struct Dances<S> {
+    pieces: Vec<MotionPiece>,
+    split: PhantomData<S>,
+}
+
+impl<S: SplitKind> Dances<S> {
+    /// Takes dances of the split.
+    #[must_use]
+    pub fn new(pieces: Vec<MotionPiece>) -> Self {
+        Self {
+            pieces,
+            split: PhantomData,
+        }
+    }
+
+    /// The dances; places in [`Draw::dance`].
+    #[must_use]
+    pub fn pieces(&self) -> &[MotionPiece] {
+        &self.pieces
+    }
+
+    fn read(
+        portion: &Portion<S>,
+        frame: MotionFrame,
+        rows: Option<&MusicRows>,
+    ) -> Result<Self, TrainError> {
+        let mut pieces = Vec::with_capacity(portion.dances().len());
+        for dance in portion.dances() {
+            let songs = |rows: &MusicRows| -> Vec<SongRows> {
+                let songs = dance.songs().iter();
+                let rows = songs.filter_map(|song| rows.get(song.music.as_ref()?));
+                rows.cloned().collect()
+            };
+            let songs = rows.map(songs).unwrap_or_default();
+            if rows.is_some() && songs.is_empty() {
+                continue;
+            }
+            let path = dance.source().path();
+            let failed = |message: String| TrainError::Data {
+                path: path.to_owned(),
+                message,
+            };
+            let motion = dance.motion(portion.skeleton())?;
+            if motion.positions().iter().any(|value| !value.is_finite()) {
+                return Err(failed("holds values that are no numbers".into()));
+            }
+            let piece = MotionPiece::from_positions(motion.into_positions(), frame);
+            let piece = piece.map_err(|error| failed(error.to_string()))?;
+            pieces.push(MotionPiece { songs, ..piece });
+        }
+        Ok(Self::new(pieces))
+    }
+}
+
+impl Dances<Training> {
+    /// What can be drawn of each dance where music does not matter.
+    pub(super) fn motion_choices(&self, phases: usize) -> Vec<Choice> {
+        let choice = |piece: &MotionPiece| Choice {
+            frames: piece.frames(),
+            songs: 0,
+            phases,
+        };
+        self.pieces.iter().map(choice).collect()
+    }
+
+    /// What can be drawn of each dance with one of its songs.
+    pub(super) fn music_choices(&self, phases: usize) -> Vec<Choice> {
+        let choice = |piece: &MotionPiece| Choice {
+            frames: piece.frames_with_music(),
+            songs: piece.songs.len(),
+            phases: piece.phases(phases),
+        };
+        self.pieces.iter().map(choice).collect()
+    }
+
+    /// A short text that changes with the amount of data: resuming with other data is refused.
+    fn amount(&self) -> String {
+        let frames: usize = self.pieces.iter().map(MotionPiece::frames).sum();
+        let songs: usize = self.pieces.iter().map(|piece| piece.songs.len()).sum();
+        let dances = self.pieces.len();
+        format!("{dances} dances of {frames} frames with {songs} songs")
+    }
+}
+
+impl Dances<Evaluation> {
+    /// The fixed crops that test losses are taken over: all of them, as they are.
+    pub(super) fn crops(&self, length: usize) -> Vec<Draw> {
+        let pieces = self.pieces.iter().enumerate();
+        let crops = pieces.flat_map(|(dance, piece)| {
+            let starts = crate::data::crop_starts(piece.frames(), length, length);
+            starts.map(move |start| fixed(dance, 0, start))
+        });
+        crops.collect()
+    }
+
+    /// The same for music: each dance with each of its songs.
+    pub(super) fn crops_with_music(&self, length: usize, stride: usize) -> Vec<Draw> {
+        let mut crops = Vec::new();
+        for (dance, piece) in self.pieces.iter().enumerate() {
+            for song in 0..piece.songs.len() {
+                let starts = crate::data::crop_starts(piece.frames_with_music(), length, stride);
+                crops.extend(starts.map(|start| fixed(dance, song, start)));
+            }
+        }
+        crops
+    }
+}
+
+fn fixed(dance: usize, song: usize, start: usize) -> Draw {
+    Draw {
+        dance,
+        song,
+        phase: 0,
+        start,
+        mirrored: false,
+    }
+}
+
+/// What a run learns from and is judged by.
+#[derive(Clone, Debug)]
 pub struct MotionSet {
-    /// Both splits.
-    pub pieces: Vec<MotionPiece>,
+    /// Learned from.
+    pub training: Dances<Training>,
+    /// For test losses alone.
+    pub test: Option<Dances<Evaluation>>,
 }
 
 /// What is needed of a data folder.
@@ -62,82 +242,68 @@ pub struct MotionSet {
 pub enum Load {
     /// Dances alone.
     Motion,
-    /// The songs' features as well.
-    Music(Profile),
-}
-
-#[derive(Deserialize)]
-struct Index {
-    pieces: Vec<Entry>,
-}
-
-#[derive(Deserialize)]
-struct Entry {
-    split: String,
-    motion: String,
-    audio: String,
+    /// Dances that have music, and the songs' features; progress is reported.
+    Music,
 }
 
 impl MotionSet {
-    /// Reads `index.json` and what it names; the test split is left out.
+    /// Reads a data folder of any layout.
     ///
     /// # Errors
     /// [`TrainError`] names the first file that cannot be used.
-    pub fn read(folder: &Path, load: Load) -> Result<Self, TrainError> {
-        let path = folder.join("index.json");
-        let bytes = std::fs::read(&path).map_err(TrainError::file(&path))?;
-        let index: Index = serde_json::from_slice(&bytes).map_err(|error| data(&path, error))?;
-        let mut extractor = match load {
-            Load::Motion => None,
-            Load::Music(profile) => Some(FeatureExtractor::new(Rate::Conditioning, profile)),
+    pub fn read(
+        data: &DataConfig,
+        load: Load,
+        output: &mut impl Write,
+    ) -> Result<Self, TrainError> {
+        let options = OpenOptions {
+            audio: data.audio_folder().map(Into::into),
         };
-        let mut pieces = Vec::new();
-        for entry in index.pieces.iter().filter(|entry| entry.split == "train") {
-            let path = folder.join(&entry.motion);
-            let positions: Array3<f32> =
-                ndarray_npy::read_npy(&path).map_err(|error| data(&path, error))?;
-            if positions.shape().get(1..) != Some(&[COLUMNS / 3, 3]) {
-                let found = positions.shape();
-                return Err(data(
-                    &path,
-                    format!("expected [frames, 24, 3], found {found:?}"),
-                ));
+        let dataset = Dataset::open(&data.folder, &options)?;
+        let training = dataset.training()?;
+        let test = match dataset.evaluation() {
+            Err(DataError::Empty { .. }) => None,
+            test => Some(test?),
+        };
+        let rows = match load {
+            Load::Motion => None,
+            Load::Music => {
+                let songs = |songs: &[Song]| -> Vec<_> {
+                    songs.iter().filter_map(|song| song.music.clone()).collect()
+                };
+                let mut wanted = Vec::new();
+                for dance in training.dances() {
+                    wanted.extend(
+                        songs(dance.songs())
+                            .into_iter()
+                            .map(|song| (song, data.phases)),
+                    );
+                }
+                for dance in test.iter().flat_map(Portion::dances) {
+                    wanted.extend(songs(dance.songs()).into_iter().map(|song| (song, 1)));
+                }
+                Some(song_rows(data, wanted, output)?)
             }
-            if positions.iter().any(|value| !value.is_finite()) {
-                return Err(data(&path, "holds values that are no numbers"));
-            }
-            let music = match &mut extractor {
-                Some(extractor) => features(&folder.join(&entry.audio), extractor)?,
-                None => Array2::zeros((0, 0)),
-            };
-            pieces.push(MotionPiece::from_positions(&positions, music, false));
+        };
+        let set = Self {
+            training: Dances::read(&training, data.frame, rows.as_ref())?,
+            test: match test {
+                Some(test) => Some(Dances::read(&test, data.frame, rows.as_ref())?),
+                None => None,
+            },
+        };
+        if set.training.pieces.is_empty() {
+            return Err(TrainError::Data {
+                path: data.folder.clone(),
+                message: "no dance of the training split has music".into(),
+            });
         }
-        Ok(Self { pieces })
+        Ok(set)
     }
 
-    /// The pieces that may be learned from.
-    pub fn training(&self) -> impl Iterator<Item = &MotionPiece> {
-        self.pieces.iter().filter(|piece| !piece.test)
-    }
-}
-
-fn features(path: &Path, extractor: &mut FeatureExtractor) -> Result<Array2<f32>, TrainError> {
-    let bytes = std::fs::read(path).map_err(TrainError::file(path))?;
-    let decoded = audio::decode(
-        bytes.into(),
-        AudioRange::default(),
-        &[extractor.rate().hz()],
-        &AudioLimits::default(),
-        &CancelToken::new(),
-    );
-    let decoded = decoded.map_err(|error| data(path, error))?;
-    let signal = decoded.signals.first().map_or(&[][..], Vec::as_slice);
-    extractor.extract(signal).map_err(|error| data(path, error))
-}
-
-fn data(path: &Path, message: impl std::fmt::Display) -> TrainError {
-    TrainError::Data {
-        path: path.to_owned(),
-        message: message.to_string(),
+    /// All that the result of a stage depends on.
+    pub(super) fn settings(&self, config: &Config, stage: Stage) -> Result<String, TrainError> {
+        let amount = self.training.amount();
+        Ok(format!("{}{amount}", settings(config, stage)?))
     }
 }

@@ -2,6 +2,7 @@
 
 mod adam;
 mod chart;
+mod codes;
 mod config;
 mod device;
 mod error;
@@ -16,19 +17,21 @@ mod runner;
 #[cfg(test)]
 mod runner_tests;
 mod saved;
+mod songs;
 mod state;
+#[cfg(test)]
+mod tests;
 mod velocity;
 mod vqvae;
 mod whole;
 mod windows;
 
-pub use config::{Config, Keep, Schedule, TrainingConfig};
+pub use config::{Config, DataConfig, Keep, MotionFrame, Schedule, TrainingConfig};
 pub use device::{Stage, train};
 pub use error::TrainError;
 pub use export::{export, trained_weights};
-pub use input::{Load, MotionPiece, MotionSet};
+pub use input::{Dances, Load, MotionPiece, MotionSet, SongRows};
 pub use runner::{Limits, Outcome};
 pub use whole::run_all;
 
-/// Motion frames of a code.
-const FRAMES_PER_CODE: usize = 8;
+use crate::data::FRAMES_PER_CODE;

@@ -1,16 +1,19 @@
 //! Stage `velocity`: the root's decoder on frozen codes of the lower half.
 
-use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend};
+use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
 
 use super::{
     Config, MotionSet, Stage, TrainError,
-    keep::settings,
+    input::MotionPiece,
     runner::{Losses, Plan, Work},
     saved::Saved,
-    vqvae::{Halves, Trained, differences, half_crops},
+    vqvae::{Halves, Trained, differences, half_crops, test_means},
     windows::Windows,
 };
-use crate::nn::{DecoderNet, Parameters, Store};
+use crate::{
+    data::{CropPlan, Draw},
+    nn::{DecoderNet, Parameters, Store},
+};
 
 /// The root's decoder and the weights it starts from.
 pub(super) fn root(config: &Config) -> (DecoderNet, Store) {
@@ -37,8 +40,13 @@ impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
         let stage = &config.velocity;
         let frozen = Trained::read(config, device)?;
         let (net, store) = root(config);
-        let lengths = set.training().map(|piece| piece.motion.nrows());
-        let windows = Windows::new(lengths, stage.frames, stage.stride, config.run.seed ^ 1);
+        let crops = CropPlan {
+            frames: stage.frames,
+            stride: stage.stride,
+            mirror: config.data.mirror,
+        };
+        let choices = set.training.motion_choices(config.data.phases);
+        let windows = Windows::new(crops, choices, config.run.seed ^ 1);
         if windows.len() == 0 {
             return Err(TrainError::TooShort {
                 length: stage.frames,
@@ -49,7 +57,7 @@ impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
             name: "velocity",
             run: &config.run,
             training: &stage.training,
-            settings: settings(config, Stage::Velocity)?,
+            settings: set.settings(config, Stage::Velocity)?,
             store,
             windows: windows.len(),
         };
@@ -63,6 +71,44 @@ impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
         };
         Ok((plan, work))
     }
+
+    /// Entries of the lower codes of some crops, and the velocity that belongs to them.
+    fn examples(
+        &self,
+        pieces: &[MotionPiece],
+        windows: &[Draw],
+    ) -> [Device<A::InnerBackend, 3>; 2] {
+        let frames = self.config.velocity.frames;
+        let lower = half_crops(pieces, windows, frames, 1, &self.device);
+        let [_, codebook] = &self.frozen.codebooks;
+        let [_, half] = &self.frozen.halves.nets;
+        let codes = half.encode(&self.frozen.parameters, codebook, lower);
+        let entries = codebook.lookup(codes);
+        let [rows, channels] = entries.dims();
+        let entries = entries.reshape([windows.len(), rows / windows.len(), channels]);
+
+        let columns = self.config.data.frame.root_columns();
+        let mut values = Vec::with_capacity(windows.len() * frames * columns.len());
+        for window in windows {
+            let piece = &pieces[window.dance];
+            for frame in window.frames(frames) {
+                let row = columns.iter();
+                values.extend(row.map(|&column| piece.value(frame, column, window.mirrored)));
+            }
+        }
+        let shape = [windows.len(), frames, columns.len()];
+        let target = Device::from_data(TensorData::new(values, shape), &self.device);
+        [entries, target]
+    }
+
+    /// Loss, error of the velocity and of its differences.
+    fn losses<B: Backend>(&self, error: Device<B, 3>) -> [Device<B, 1>; 3] {
+        let [velocity, difference, _] = differences(error);
+        let weighted = difference
+            .clone()
+            .mul_scalar(self.config.velocity.difference_weight);
+        [velocity.clone() + weighted, velocity, difference]
+    }
 }
 
 impl<A: AutodiffBackend> Work<A> for VelocityWork<'_, A> {
@@ -71,31 +117,28 @@ impl<A: AutodiffBackend> Work<A> for VelocityWork<'_, A> {
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
         let stage = &self.config.velocity;
         let windows = self.windows.batch(step, stage.training.batch);
-        let lower = half_crops(self.set, &windows, stage.frames, 1, &self.device);
-        let [_, codebook] = &self.frozen.codebooks;
-        let [_, half] = &self.frozen.halves.nets;
-        let codes = half.encode(&self.frozen.parameters, codebook, lower);
-        let entries = codebook.lookup(codes);
-        let [rows, channels] = entries.dims();
-        let entries = entries.reshape([windows.len(), rows / windows.len(), channels]);
-
-        let pieces: Vec<_> = self.set.training().collect();
-        let mut values = Vec::with_capacity(windows.len() * stage.frames * 3);
-        for &(piece, start) in &windows {
-            for frame in start..start + stage.frames {
-                values.extend((0..3).map(|axis| pieces[piece].motion[[frame, axis]]));
-            }
-        }
-        let shape = [windows.len(), stage.frames, 3];
-        let target = Device::<A, 3>::from_data(TensorData::new(values, shape), &self.device);
+        let [entries, target] = self.examples(self.set.training.pieces(), &windows);
         let found = self.net.forward(parameters, Device::from_inner(entries));
-        let [velocity, difference, _] = differences(found - target);
-        let loss = velocity.clone() + difference.clone().mul_scalar(stage.difference_weight);
-        let metrics = [loss.clone(), velocity, difference].map(Device::inner);
+        let losses = self.losses(found - Device::from_inner(target));
+        let [loss, ..] = losses.clone();
         Losses {
             loss,
-            metrics: metrics.into(),
+            metrics: losses.map(Device::inner).into(),
         }
+    }
+
+    const TEST_COLUMNS: &'static [&'static str] = &["test_loss"];
+
+    fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {
+        let stage = &self.config.velocity;
+        let test = self.set.test.as_ref()?;
+        let crops = test.crops(stage.frames);
+        test_means(&crops, stage.training.batch, |windows| {
+            let [entries, target] = self.examples(test.pieces(), windows);
+            let found = self.net.forward(parameters, entries);
+            let [loss, ..] = self.losses(found - target);
+            [loss]
+        })
     }
 
     fn save(&self, _saved: &mut Saved) {}

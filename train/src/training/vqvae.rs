@@ -6,14 +6,16 @@ use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backen
 
 use super::{
     Config, MotionSet, Stage, TrainError,
-    keep::{read_kept, settings},
+    input::MotionPiece,
+    keep::read_kept,
     runner::{Losses, Plan, WEIGHT, Work},
     saved::Saved,
-    windows::{Window, Windows, generator},
+    windows::{Windows, generator},
 };
 use crate::{
     checkpoint::Checkpoint,
-    nn::{Codebook, HalfNet, MovingAverage, Parameters, Store, VqVaeSizes, random_vqvae},
+    data::{CropPlan, Draw},
+    nn::{Codebook, HalfNet, MovingAverage, Parameters, Store, VqVaeSizes, random_vqvae, values},
     weights::{HALF_JOINTS, VqVaeWeights},
 };
 
@@ -47,6 +49,7 @@ impl Halves {
             width: config.vqvae.width,
             embedding: config.vqvae.embedding,
             codes: config.vqvae.codes,
+            root_columns: config.data.frame.root_columns().len(),
         };
         Self::new(random_vqvae(sizes, config.run.seed))
     }
@@ -90,21 +93,20 @@ fn read_codebook<B: Backend>(
 
 /// The crops' columns of one half, `[batch, frames, columns]`, the root's zero.
 pub(super) fn half_crops<B: Backend>(
-    set: &MotionSet,
-    windows: &[Window],
+    pieces: &[MotionPiece],
+    windows: &[Draw],
     frames: usize,
     half: usize,
     device: &B::Device,
 ) -> Device<B, 3> {
     let (upper, lower) = HALF_JOINTS;
     let joints: &[usize] = if half == 0 { &upper } else { &lower };
-    let pieces: Vec<_> = set.training().collect();
     let mut values = Vec::with_capacity(windows.len() * frames * 3 * joints.len());
-    for &(piece, start) in windows {
-        let motion = &pieces[piece].motion;
-        for frame in start..start + frames {
+    for window in windows {
+        let piece = &pieces[window.dance];
+        for frame in window.frames(frames) {
             for &joint in joints {
-                let column = |axis| motion[[frame, 3 * joint + axis]];
+                let column = |axis| piece.value(frame, 3 * joint + axis, window.mirrored);
                 values.extend((0..3).map(|axis| if joint == 0 { 0.0 } else { column(axis) }));
             }
         }
@@ -122,6 +124,23 @@ pub(super) fn differences<B: Backend>(error: Device<B, 3>) -> [Device<B, 1>; 3] 
     let first = change(error.clone());
     let second = change(first.clone());
     [error, first, second].map(|tensor| tensor.abs().mean())
+}
+
+/// Means over all of `crops`, taken in batches.
+pub(super) fn test_means<B: Backend, const N: usize>(
+    crops: &[Draw],
+    batch: usize,
+    mut means: impl FnMut(&[Draw]) -> [Device<B, 1>; N],
+) -> Option<Vec<f32>> {
+    let mut sums = [0.0_f64; N];
+    for some in crops.chunks(batch) {
+        for (sum, mean) in sums.iter_mut().zip(means(some)) {
+            let mean: f32 = values(&mean).into_iter().sum();
+            *sum += f64::from(mean) * some.len() as f64;
+        }
+    }
+    let mean = |sum| (sum / crops.len() as f64) as f32;
+    (!crops.is_empty()).then(|| sums.map(mean).into())
 }
 
 pub(super) struct VqVaeWork<'a, A: AutodiffBackend> {
@@ -166,8 +185,13 @@ impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
             codebooks = tables.map(|table| Some(Codebook::new(table, device)));
             halves = found;
         }
-        let lengths = set.training().map(|piece| piece.motion.nrows());
-        let windows = Windows::new(lengths, stage.frames, stage.stride, config.run.seed);
+        let crops = CropPlan {
+            frames: stage.frames,
+            stride: stage.stride,
+            mirror: config.data.mirror,
+        };
+        let choices = set.training.motion_choices(config.data.phases);
+        let windows = Windows::new(crops, choices, config.run.seed);
         if windows.len() == 0 {
             return Err(TrainError::TooShort {
                 length: stage.frames,
@@ -178,7 +202,7 @@ impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
             name: "vqvae",
             run: &config.run,
             training: &stage.training,
-            settings: settings(config, Stage::VqVae)?,
+            settings: set.settings(config, Stage::VqVae)?,
             store: halves.store,
             windows: windows.len(),
         };
@@ -198,11 +222,12 @@ impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
         &mut self,
         half: usize,
         parameters: &Parameters<A>,
-        windows: &[Window],
+        windows: &[Draw],
         step: u64,
     ) -> (Device<A, 1>, Vec<Device<A::InnerBackend, 1>>) {
         let stage = &self.config.vqvae;
-        let target = half_crops::<A>(self.set, windows, stage.frames, half, &self.device);
+        let pieces = self.set.training.pieces();
+        let target = half_crops::<A>(pieces, windows, stage.frames, half, &self.device);
         let net = &self.nets[half];
         let encoded = net.encoder.forward(parameters, target.clone());
         let [batch, codes, channels] = encoded.dims();
@@ -224,20 +249,46 @@ impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
 
         let quantised = Device::<A, 3>::from_inner(quantised);
         let distance = encoded.clone() - quantised.clone();
-        let commitment = distance.clone().square().mean();
         // Straight through: the value of the entry, the derivative of the encoder's output.
-        let passed = encoded - distance.detach();
+        let passed = encoded - distance.clone().detach();
         let error = net.decoder.forward(parameters, passed) - target;
+        let losses = self.losses(error, distance);
+        let [loss, ..] = losses.clone();
+        let mut metrics: Vec<_> = losses.map(Device::inner).into();
+        metrics.extend([perplexity, restarted]);
+        (loss, metrics)
+    }
+
+    /// Loss of one half, its parts without weights: position, velocity, acceleration, commitment.
+    fn losses<B: Backend>(&self, error: Device<B, 3>, distance: Device<B, 3>) -> [Device<B, 1>; 5] {
+        let stage = &self.config.vqvae;
+        let commitment = distance.square().mean();
         let [position, velocity, acceleration] = differences(error);
         let loss = position.clone()
             + velocity.clone().mul_scalar(stage.velocity_weight)
             + acceleration.clone().mul_scalar(stage.acceleration_weight)
             + commitment.clone().mul_scalar(stage.commitment);
-        let mut metrics: Vec<_> = [loss.clone(), position, velocity, acceleration, commitment]
-            .map(Device::inner)
-            .into();
-        metrics.extend([perplexity, restarted]);
-        (loss, metrics)
+        [loss, position, velocity, acceleration, commitment]
+    }
+
+    /// Loss of one half on test crops, and its error of position.
+    fn test_half(
+        &self,
+        half: usize,
+        codebook: &Codebook<A::InnerBackend>,
+        parameters: &Parameters<A::InnerBackend>,
+        (pieces, crops): (&[MotionPiece], &[Draw]),
+    ) -> [Device<A::InnerBackend, 1>; 2] {
+        let frames = self.config.vqvae.frames;
+        let target = half_crops::<A::InnerBackend>(pieces, crops, frames, half, &self.device);
+        let net = &self.nets[half];
+        let encoded = net.encoder.forward(parameters, target.clone());
+        let [batch, codes, channels] = encoded.dims();
+        let indices = codebook.nearest(encoded.clone().reshape([batch * codes, channels]));
+        let quantised = codebook.lookup(indices).reshape([batch, codes, channels]);
+        let error = net.decoder.forward(parameters, quantised.clone()) - target;
+        let [loss, position, ..] = self.losses(error, encoded - quantised);
+        [loss, position]
     }
 }
 
@@ -268,6 +319,25 @@ impl<A: AutodiffBackend> Work<A> for VqVaeWork<'_, A> {
         metrics.insert(0, loss.clone().inner());
         metrics.extend(lower_metrics);
         Losses { loss, metrics }
+    }
+
+    const TEST_COLUMNS: &'static [&'static str] =
+        &["test_loss", "test_upper_position", "test_lower_position"];
+
+    fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {
+        let stage = &self.config.vqvae;
+        let test = self.set.test.as_ref()?;
+        let [Some(upper), Some(lower)] = &self.codebooks else {
+            return None;
+        };
+        let crops = test.crops(stage.frames);
+        test_means(&crops, stage.training.batch, |crops| {
+            let half =
+                |half, codebook| self.test_half(half, codebook, parameters, (test.pieces(), crops));
+            let [upper_loss, upper_position] = half(0, upper);
+            let [lower_loss, lower_position] = half(1, lower);
+            [upper_loss + lower_loss, upper_position, lower_position]
+        })
     }
 
     fn save(&self, saved: &mut Saved) {

@@ -22,46 +22,50 @@ pub fn run_all(
     seconds: Option<f64>,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
-    let mut set = None;
-    let mut start = Instant::now();
+    let mut known = None;
+    // As for a single stage, reading is not counted: every call gets some steps done.
+    let mut spent = 0.0;
     for stage in Stage::ALL {
         if is_finished(config, stage)? {
             tell(output, &format!("{}: finished before", stage.name()));
             continue;
         }
-        let set = match &set {
-            Some(set) => set,
-            None => {
-                check_target(&config.export.folder, replace)?;
-                let load = Load::Music(config.data.profile);
-                let read = MotionSet::read(&config.data.folder, load)?;
-                // As for a single stage, reading is not counted: every call gets some steps done.
-                start = Instant::now();
-                set.insert(read)
-            }
-        };
+        check_target(&config.export.folder, replace)?;
+        let set = read_once(&mut known, stage.load(), config, output)?;
         let limits = Limits {
-            seconds: seconds.map(|most| most - start.elapsed().as_secs_f64()),
+            seconds: seconds.map(|most| most - spent),
             steps: None,
         };
+        let start = Instant::now();
         if train(stage, config, set, None, limits, output)? == Outcome::Paused {
             return Ok(Outcome::Paused);
         }
+        spent += start.elapsed().as_secs_f64();
     }
     let folder = config.export.folder.display();
     if !replace && is_exported(config)? {
-        tell(
-            output,
-            &format!("export: {folder} is made of these stages already"),
-        );
+        let line = format!("export: {folder} is made of these stages already");
+        tell(output, &line);
     } else {
         let manifest = export(config, replace)?;
-        tell(
-            output,
-            &format!("export: wrote {folder} ({})", manifest.name),
-        );
+        let line = format!("export: wrote {folder} ({})", manifest.name);
+        tell(output, &line);
     }
     Ok(Outcome::Finished)
+}
+
+/// The data set for a stage. Stages that take the same share one; without music more dances count.
+fn read_once<'a>(
+    known: &'a mut Option<(Load, MotionSet)>,
+    load: Load,
+    config: &Config,
+    output: &mut impl Write,
+) -> Result<&'a MotionSet, TrainError> {
+    let (_, set) = match known.take() {
+        Some(same) if same.0 == load => known.insert(same),
+        _ => known.insert((load, MotionSet::read(&config.data, load, output)?)),
+    };
+    Ok(set)
 }
 
 /// A line that nobody can read is no reason to stop.

@@ -1,77 +1,56 @@
 //! Which windows make up a step: a function of seed and step alone, so that a resumed run draws
 //! what an undisturbed one would.
 
-use rand_chacha::{
-    ChaCha8Rng,
-    rand_core::{Rng, SeedableRng},
-};
+use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
-/// A window's piece and its first frame or code.
-pub(super) type Window = (usize, usize);
+use crate::data::{Choice, CropPlan, Draw};
 
 pub(super) struct Windows {
-    all: Vec<Window>,
+    plan: CropPlan,
+    dances: Vec<Choice>,
+    count: usize,
     seed: u64,
-    shuffled: Option<(u64, Vec<Window>)>,
+    drawn: Option<(u64, Vec<Draw>)>,
 }
 
 impl Windows {
-    /// Every `stride`-th window of `length` in pieces of the given lengths.
-    pub(super) fn new(
-        lengths: impl Iterator<Item = usize>,
-        length: usize,
-        stride: usize,
-        seed: u64,
-    ) -> Self {
-        let mut all = Vec::new();
-        for (piece, available) in lengths.enumerate() {
-            if let Some(last) = available.checked_sub(length) {
-                all.extend((0..=last).step_by(stride).map(|start| (piece, start)));
-            }
-        }
+    pub(super) fn new(plan: CropPlan, dances: Vec<Choice>, seed: u64) -> Self {
         Self {
-            all,
+            count: plan.crops(&dances),
+            plan,
+            dances,
             seed,
-            shuffled: None,
+            drawn: None,
         }
     }
 
+    /// Windows of a round.
     pub(super) fn len(&self) -> usize {
-        self.all.len()
+        self.count
     }
 
-    /// The windows of a step: rounds over all of them, each in an order of its own.
-    pub(super) fn batch(&mut self, step: u64, size: usize) -> Vec<Window> {
+    /// The windows of a step: round after round over all dances.
+    pub(super) fn batch(&mut self, step: u64, size: usize) -> Vec<Draw> {
         let first = step * size as u64;
         (first..first + size as u64)
             .map(|place| self.at(place))
             .collect()
     }
 
-    fn at(&mut self, place: u64) -> Window {
-        let count = self.all.len() as u64;
+    fn at(&mut self, place: u64) -> Draw {
+        let count = self.count as u64;
         let (round, index) = (place / count, (place % count) as usize);
-        let order = match self.shuffled.take() {
-            Some((known, order)) if known == round => order,
-            _ => self.shuffle(round),
+        let draws = match self.drawn.take() {
+            Some((known, draws)) if known == round => draws,
+            _ => self.plan.round(&self.dances, self.seed, round),
         };
-        let window = order[index];
-        self.shuffled = Some((round, order));
-        window
-    }
-
-    fn shuffle(&self, round: u64) -> Vec<Window> {
-        let mut random = generator(self.seed, round);
-        let mut order = self.all.clone();
-        for place in (1..order.len()).rev() {
-            let other = random.next_u64() % (place as u64 + 1);
-            order.swap(place, other as usize);
-        }
-        order
+        let draw = draws[index];
+        self.drawn = Some((round, draws));
+        draw
     }
 }
 
-/// The random numbers of a step or round.
+/// The random numbers of a step.
 pub(super) fn generator(seed: u64, step: u64) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(step);
@@ -84,10 +63,21 @@ mod tests {
 
     #[test]
     fn a_round_holds_every_window_once() {
-        let windows = || Windows::new([10, 3, 6].into_iter(), 4, 2, 7);
-        let mut drawn: Vec<Window> = windows().batch(0, 6);
+        let dances = [10, 3, 6].map(|frames| Choice {
+            frames,
+            songs: 1,
+            phases: 1,
+        });
+        let plan = CropPlan {
+            frames: 4,
+            stride: 2,
+            mirror: false,
+        };
+        let windows = || Windows::new(plan, dances.to_vec(), 7);
+        let drawn = windows().batch(0, 6);
         assert_eq!(drawn[4..], windows().batch(2, 2));
-        drawn.sort_unstable();
-        assert_eq!(drawn, [(0, 0), (0, 2), (0, 4), (0, 6), (2, 0), (2, 2)]);
+        let mut places: Vec<_> = drawn.iter().map(|draw| (draw.dance, draw.start)).collect();
+        places.sort_unstable();
+        assert_eq!(places, [(0, 0), (0, 2), (0, 4), (0, 6), (2, 0), (2, 2)]);
     }
 }

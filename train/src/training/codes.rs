@@ -1,0 +1,118 @@
+//! Pose codes of whole dances, for the stages that learn from codes.
+
+use std::io::Write;
+
+use burn_tensor::backend::Backend;
+use rayon::prelude::*;
+
+use super::{
+    FRAMES_PER_CODE,
+    input::MotionPiece,
+    vqvae::{Trained, half_crops},
+};
+use crate::data::Draw;
+
+/// Dances between two lines of progress.
+const DANCES_A_LINE: usize = 16;
+/// Frames that are encoded at once, to bound the memory.
+const FRAMES_AT_ONCE: usize = 16_384;
+
+/// Upper and lower codes of a dance encoded whole.
+pub(super) type Pair = [Vec<i32>; 2];
+
+/// Codes of each dance at each start phase, and of its mirror image where that is wanted.
+pub(super) struct Codes {
+    dances: Vec<Variants>,
+}
+
+struct Variants {
+    phases: usize,
+    /// All phases as they are, then all phases in the mirror.
+    codes: Vec<Pair>,
+}
+
+/// Which variants there are.
+#[derive(Clone, Copy)]
+pub(super) struct Augmentation {
+    pub(super) mirror: bool,
+    pub(super) phases: usize,
+}
+
+impl Codes {
+    /// Encodes all dances, several at a time, and reports progress.
+    pub(super) fn encode<B: Backend>(
+        frozen: &Trained<B>,
+        pieces: &[MotionPiece],
+        wanted: Augmentation,
+        device: &B::Device,
+        output: &mut impl Write,
+    ) -> Self {
+        let mut dances = Vec::with_capacity(pieces.len());
+        for some in pieces.chunks(DANCES_A_LINE) {
+            let encoded = some.par_iter();
+            let encoded = encoded.map(|piece| variants(frozen, piece, wanted, device));
+            dances.par_extend(encoded);
+            // Progress that cannot be shown is no reason to stop.
+            let _ = writeln!(output, "codes of {}/{} dances", dances.len(), pieces.len());
+        }
+        Self { dances }
+    }
+
+    /// The codes that a window is cut from.
+    pub(super) fn of(&self, window: &Draw) -> &Pair {
+        let dance = &self.dances[window.dance];
+        &dance.codes[usize::from(window.mirrored) * dance.phases + window.phase]
+    }
+
+    /// The first codes of every dance and mirror image.
+    pub(super) fn starts(&self) -> impl Iterator<Item = [i32; 2]> {
+        let dances = self.dances.iter();
+        let whole = dances.flat_map(|dance| dance.codes.iter().step_by(dance.phases));
+        whole.filter_map(|[upper, lower]| Some([*upper.first()?, *lower.first()?]))
+    }
+}
+
+fn variants<B: Backend>(
+    frozen: &Trained<B>,
+    piece: &MotionPiece,
+    wanted: Augmentation,
+    device: &B::Device,
+) -> Variants {
+    let phases = piece.phases(wanted.phases);
+    let sides: &[bool] = if wanted.mirror {
+        &[false, true]
+    } else {
+        &[false]
+    };
+    let all = sides.iter().flat_map(|&mirrored| {
+        (0..phases).map(move |phase| Draw {
+            dance: 0,
+            song: 0,
+            phase,
+            start: 0,
+            mirrored,
+        })
+    });
+    let all: Vec<Draw> = all.collect();
+    let length = |draw: &Draw| piece.frames().saturating_sub(draw.phase) / FRAMES_PER_CODE;
+    let mut codes = vec![Pair::default(); all.len()];
+    // Cutting frames off leaves one of two lengths; encoders take only equal ones together.
+    for codes_each in [length(&all[0]), length(&all[0]).saturating_sub(1)] {
+        let frames = codes_each * FRAMES_PER_CODE;
+        let places = (0..all.len()).filter(|&place| length(&all[place]) == codes_each);
+        let places: Vec<usize> = places.filter(|_| frames > 0).collect();
+        for places in places.chunks((FRAMES_AT_ONCE / frames.max(1)).max(1)) {
+            let draws: Vec<Draw> = places.iter().map(|&place| all[place]).collect();
+            for half in [0, 1] {
+                let motion = half_crops(std::slice::from_ref(piece), &draws, frames, half, device);
+                let (net, table) = (&frozen.halves.nets[half], &frozen.codebooks[half]);
+                let found = net.encode(&frozen.parameters, table, motion);
+                let found: Vec<i32> = found.into_data().iter::<i32>().collect();
+                for (&place, found) in places.iter().zip(found.chunks(codes_each)) {
+                    codes[place][half] = found.to_vec();
+                }
+            }
+        }
+    }
+    Variants { phases, codes }
+}

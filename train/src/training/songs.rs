@@ -1,0 +1,61 @@
+//! Feature rows of all songs that a stage needs, from the cache or computed side by side.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    io::Write,
+    sync::Arc,
+};
+
+use rayon::prelude::*;
+
+use super::{TrainError, config::DataConfig, input::SongRows};
+use crate::data::{DataError, FeatureCache, MusicLibrary, MusicSource};
+
+/// Rows by song.
+pub(super) type MusicRows = HashMap<MusicSource, SongRows>;
+
+/// Songs between two lines of progress.
+const SONGS_A_LINE: usize = 16;
+
+/// Rows of each of `wanted` for that many start phases, or for one where the song cannot be moved.
+pub(super) fn song_rows(
+    data: &DataConfig,
+    wanted: Vec<(MusicSource, usize)>,
+    output: &mut impl Write,
+) -> Result<MusicRows, TrainError> {
+    let mut songs: BTreeMap<MusicSource, usize> = BTreeMap::new();
+    for (song, phases) in wanted {
+        let phases = if song.can_shift() { phases } else { 1 };
+        let most = songs.entry(song).or_insert(phases);
+        *most = phases.max(*most);
+    }
+    let cache = match data.cache_folder() {
+        Some(folder) => FeatureCache::open(folder)?,
+        None => FeatureCache::open(&FeatureCache::default_folder()?)?,
+    };
+    let songs: Vec<(MusicSource, usize)> = songs.into_iter().collect();
+    let mut rows = MusicRows::new();
+    let mut computed = 0;
+    for some in songs.chunks(SONGS_A_LINE) {
+        let library = || MusicLibrary::new(cache.clone(), data.profile);
+        let found = some
+            .par_iter()
+            .map_init(library, |library, (song, phases)| {
+                let before = library.computed();
+                let rows = library.phases(song, *phases)?;
+                Ok((rows, library.computed() - before))
+            });
+        let found: Vec<Result<_, DataError>> = found.collect();
+        for ((song, _), found) in some.iter().zip(found) {
+            let (phases, new) = found?;
+            computed += new;
+            let song_rows = SongRows::new(phases.into_iter().map(Arc::new).collect());
+            rows.extend(song_rows.map(|song_rows| (song.clone(), song_rows)));
+        }
+        if computed > 0 {
+            // Progress that cannot be shown is no reason to stop.
+            let _ = writeln!(output, "music of {}/{} songs", rows.len(), songs.len());
+        }
+    }
+    Ok(rows)
+}

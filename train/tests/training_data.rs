@@ -1,0 +1,174 @@
+//! Stages on data folders of every layout, and what of them may reach a checkpoint.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
+#[path = "../src/data/testing.rs"]
+mod testing;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard},
+};
+
+use bailando_train::{
+    export::skeleton,
+    training::{Config, Limits, Load, MotionFrame, MotionSet, Outcome, Stage, train},
+};
+use safetensors::SafeTensors;
+use serde_json::json;
+use testing::{FRAMES, TestFolder, clicks, dance};
+
+const STAGES: [(Stage, Load, &str); 3] = [
+    (Stage::VqVae, Load::Motion, "vqvae"),
+    (Stage::Velocity, Load::Motion, "velocity"),
+    (Stage::Gpt, Load::Music, "gpt"),
+];
+
+/// The random generator of the CPU backend belongs to the process.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap()
+}
+
+/// Few steps with the `tiny` preset; run and cache lie in `out`.
+fn config(data: &Path, out: &Path) -> Config {
+    let mut config = Config::parse(include_str!("../presets/tiny.toml")).unwrap();
+    config.data.folder = data.to_owned();
+    config.data.cache = out.join("features");
+    config.run.folder = out.join("run");
+    for training in [
+        &mut config.vqvae.training,
+        &mut config.velocity.training,
+        &mut config.gpt.training,
+    ] {
+        (training.steps, training.batch) = (3, 2);
+    }
+    config
+}
+
+/// Runs all stages; what they report.
+fn run(config: &Config) -> String {
+    let mut output = Vec::new();
+    for (stage, load, _) in STAGES {
+        let set = MotionSet::read(&config.data, load, &mut output).unwrap();
+        let outcome = train(stage, config, &set, None, Limits::default(), &mut output);
+        assert_eq!(outcome.unwrap(), Outcome::Finished);
+    }
+    String::from_utf8(output).unwrap()
+}
+
+fn checkpoint(config: &Config, stage: &str) -> PathBuf {
+    let folder = config.run.folder.join(stage);
+    folder.join("checkpoint.safetensors")
+}
+
+fn shape(config: &Config, stage: &str, tensor: &str) -> Vec<usize> {
+    let bytes = fs::read(checkpoint(config, stage)).unwrap();
+    let file = SafeTensors::deserialize(&bytes).unwrap();
+    file.tensor(tensor).unwrap().shape().to_vec()
+}
+
+#[test]
+fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
+    let _alone = alone();
+    let folder = TestFolder::good(&skeleton(0.93));
+    let out = tempfile::tempdir().unwrap();
+    let config = config(folder.write(), out.path());
+    assert_eq!(
+        (config.data.frame, config.data.phases),
+        (MotionFrame::Dancer, 2)
+    );
+    let report = run(&config);
+    assert!(report.contains("music of 4/4 songs"), "{report}");
+    assert!(report.contains("codes of 2/2 dances"), "{report}");
+    // Velocity forward, up and to the left, and the turn.
+    assert_eq!(shape(&config, "velocity", "weight.root.output.bias"), [4]);
+    assert_eq!(shape(&config, "gpt", "music.mean"), [438]);
+    // Three songs of training at two start phases, one of the test split as it is.
+    let entries = fs::read_dir(&config.data.cache).unwrap().count();
+    assert_eq!(entries, 3 * 2 + 1);
+    let mut report = Vec::new();
+    MotionSet::read(&config.data, Load::Music, &mut report).unwrap();
+    assert!(report.is_empty(), "all of it is in the cache");
+}
+
+#[test]
+fn nothing_of_the_test_split_reaches_a_checkpoint() {
+    let _alone = alone();
+    let folders = [0, 1].map(|_| TestFolder::good(&skeleton(0.93)));
+    let absurd = dance(&skeleton(0.93), FRAMES, 9) * 1e6;
+    folders[1].motion("three.npy", &absurd);
+    fs::write(folders[1].path("d.wav"), clicks(10.0, 0.0, Some(0.05))).unwrap();
+    let outs = [0, 1].map(|_| tempfile::tempdir().unwrap());
+    let configs = [0, 1].map(|index| config(folders[index].write(), outs[index].path()));
+    for config in &configs {
+        run(config);
+    }
+    for (_, _, stage) in STAGES {
+        let [good, spoiled] = [0, 1].map(|index| fs::read(checkpoint(&configs[index], stage)));
+        assert!(
+            good.unwrap() == spoiled.unwrap(),
+            "{stage} has seen the test split"
+        );
+    }
+}
+
+#[test]
+fn the_references_files_train_with_their_own_rows() {
+    let _alone = alone();
+    let (data, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    for (split, seed) in [("train", 1), ("test", 2)] {
+        let positions = dance(&skeleton(0.93), 320, seed);
+        let flat: Vec<f32> = positions.iter().copied().collect();
+        let rows: Vec<Vec<f32>> = (0..41).map(|row| vec![0.1 * row as f32; 438]).collect();
+        let file = json!({
+            "id": split, "music_array": rows, "dance_array": flat.chunks(72).collect::<Vec<_>>(),
+        });
+        let folder = data.path().join(split);
+        fs::create_dir(&folder).unwrap();
+        fs::write(folder.join("a.json"), file.to_string()).unwrap();
+    }
+    let mut config = config(data.path(), out.path());
+    config.data.frame = MotionFrame::World;
+    run(&config);
+    assert_eq!(shape(&config, "velocity", "weight.root.output.bias"), [3]);
+    let set = MotionSet::read(&config.data, Load::Music, &mut Vec::new()).unwrap();
+    assert_eq!(set.test.unwrap().pieces().len(), 1);
+}
+
+#[test]
+fn aist_dances_train_and_find_their_songs_in_a_folder_of_their_own() {
+    let _alone = alone();
+    let (folder, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (root, songs) = (folder.path().join("aist"), folder.path().join("songs"));
+    fs::create_dir_all(root.join("motions")).unwrap();
+    fs::create_dir_all(&songs).unwrap();
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/train");
+    let motion = root.join("motions/gBR_sBM_cAll_d04_mBR0_ch01.pkl");
+    fs::copy(fixtures.join("aist_protocol4.pkl"), motion).unwrap();
+    fs::write(songs.join("mBR0.wav"), clicks(1.0, 0.0, Some(0.5))).unwrap();
+    let mut config = config(&root, out.path());
+    config.data.audio = songs;
+    // The fixture has 12 frames.
+    (config.vqvae.frames, config.velocity.frames) = (8, 8);
+    for (stage, _, _) in &STAGES[..2] {
+        let set = MotionSet::read(&config.data, Load::Motion, &mut Vec::new()).unwrap();
+        let limits = Limits::default();
+        train(*stage, &config, &set, None, limits, &mut Vec::new()).unwrap();
+    }
+    let set = MotionSet::read(&config.data, Load::Music, &mut Vec::new()).unwrap();
+    let dance = &set.training.pieces()[0];
+    assert_eq!((dance.frames(), dance.songs().len()), (12, 1));
+    assert!(set.test.is_none());
+    config.data.audio = root;
+    let refused = MotionSet::read(&config.data, Load::Music, &mut Vec::new()).unwrap_err();
+    assert!(
+        refused
+            .to_string()
+            .contains("no dance of the training split has music")
+    );
+}
