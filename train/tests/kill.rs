@@ -161,10 +161,10 @@ fn a_run_that_is_killed_ends_as_one_that_is_not() {
         }
     }
 
-    for stage in 0..STAGES.len() {
+    for (stage, name) in STAGES.iter().enumerate() {
         let step = 1 + random.next_u64() % (STEPS / 2);
         let moment = Duration::from_millis(random.next_u64() % 60);
-        println!("kill in {} after step {step} and {moment:?}", STAGES[stage]);
+        println!("kill in {name} after step {step} and {moment:?}");
         kill_at(&disturbed, (stage, step), moment);
     }
     finish(&disturbed);
