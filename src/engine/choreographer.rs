@@ -59,7 +59,8 @@ pub struct RawDance {
     pub seed: u64,
     /// The pose codes.
     pub codes: Codes,
-    /// Decoder output `[frames, 3 joints]`: root velocity in columns 0..2, root-relative joints.
+    /// Decoded motion `[frames, 3 joints]` in world directions: root velocity in columns 0..2,
+    /// root-relative joints.
     pub motion: Array2<f32>,
     /// Waiting for the model.
     pub queued: Duration,

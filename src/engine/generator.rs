@@ -77,7 +77,8 @@ fn sample_newest(sampler: &mut Sampler, logits: &Array2<f32>) -> u32 {
     sampler.next(newest.iter().copied()) as u32
 }
 
-/// Decodes a whole piece in overlapping chunks: the same as at once, with bounded memory.
+/// Decodes a whole piece in overlapping chunks: the same as at once, with bounded memory. The
+/// motion is in the manifest's frame still: a dancer's turns cannot be summed before chunks are joined.
 ///
 /// The manifest's `receptive_codes` on either side of a chunk are decoded with it and dropped again; only the
 /// piece's own ends see the zero padding (ARCHITECTURE section 2).

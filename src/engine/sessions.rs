@@ -138,8 +138,9 @@ impl Sessions {
         };
         let codes = generate_codes(&mut self.gpt, &mut sampler, &request).map_err(cancelled)?;
         job.progress.stage(Stage::Motion);
-        let motion =
+        let decoded =
             decode_codes(&mut self.decoder, &codes, manifest, &job.cancel).map_err(cancelled)?;
+        let motion = manifest.motion_frame.into_world(decoded)?;
         Ok(Outcome {
             codes,
             motion,

@@ -43,7 +43,7 @@ pub(crate) struct Job {
 #[derive(Debug)]
 pub(crate) struct Outcome {
     pub(crate) codes: Codes,
-    /// Decoder output `[frames, columns]`.
+    /// Decoded motion in world directions, `[frames, 3 joints]`.
     pub(crate) motion: Array2<f32>,
     /// From submission to the first step.
     pub(crate) queued: Duration,

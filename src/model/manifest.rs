@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     features::{COLUMNS, HOP, Profile, Rate},
-    motion::Skeleton,
+    motion::{MotionFrame, Skeleton},
 };
 
 /// The manifest layout this version reads and writes.
@@ -28,6 +28,12 @@ pub struct Manifest {
     pub fps: u32,
     /// Motion frames that one pose code stands for (ARCHITECTURE: down-sampling 8).
     pub frames_per_code: usize,
+    /// Frame of the motion that is decoded and encoded; absent: the world's, as published.
+    ///
+    /// In the dancer's frame `decoder.onnx` gives one more column, the turn to the next frame, and
+    /// `encoder.onnx` takes joints that are turned to face +z already, without that column.
+    #[serde(default, skip_serializing_if = "MotionFrame::is_world")]
+    pub motion_frame: MotionFrame,
     /// Number of pose codes per half body.
     pub vocabulary: Vocabulary,
     /// Sizes of the motion GPT.
@@ -161,10 +167,16 @@ const MAX_RECEPTIVE_CODES: usize = 4096;
 const REQUIRED_FILES: [&str; 3] = ["gpt.onnx", "decoder.onnx", "encoder.onnx"];
 
 impl Manifest {
-    /// Columns of the decoded motion: three per joint.
+    /// Columns of motion as it is encoded and served: three per joint.
     #[must_use]
     pub fn motion_columns(&self) -> usize {
         3 * self.skeleton.joints.len()
+    }
+
+    /// Columns of motion as `decoder.onnx` gives it.
+    #[must_use]
+    pub fn decoded_columns(&self) -> usize {
+        self.motion_frame.columns(self.skeleton.joints.len())
     }
 
     /// Pose codes per second.

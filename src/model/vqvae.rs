@@ -32,13 +32,15 @@ impl Decoder {
         Ok(Self {
             graph,
             frames_per_code: manifest.frames_per_code,
-            columns: manifest.motion_columns(),
+            columns: manifest.decoded_columns(),
         })
     }
 
     /// Decodes a run of code pairs at once: `[8 codes, columns]`, root velocity in columns 0..2 and
-    /// root-relative joints behind them, metres. The ends see zero padding, so a piece is decoded
-    /// whole or in chunks that overlap by the manifest's receptive field.
+    /// root-relative joints behind them, metres, in the manifest's frame: see
+    /// [`MotionFrame::into_world`](crate::motion::MotionFrame::into_world). The ends see zero
+    /// padding, so a piece is decoded whole or in chunks that overlap by the manifest's receptive
+    /// field.
     ///
     /// # Errors
     /// [`ModelError::Input`] when the halves differ in length, [`ModelError::Cancelled`], or
@@ -99,8 +101,10 @@ impl Encoder {
         })
     }
 
-    /// Encodes root-relative motion `[frames, columns]` (columns 0..2 are ignored) into pairs of
-    /// upper and lower codes; frames beyond the last whole code are left out.
+    /// Encodes root-relative motion `[frames, 3 joints]` (columns 0..2 are ignored) into pairs of
+    /// upper and lower codes; frames beyond the last whole code are left out. A model of the
+    /// dancer's frame wants the motion in that frame
+    /// ([`to_dancer_frame`](crate::motion::to_dancer_frame)), without its last column.
     ///
     /// # Errors
     /// [`ModelError::Input`] for another width or less than one code of frames,

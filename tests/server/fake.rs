@@ -19,7 +19,7 @@ use bailando::{
         DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults, Vocabulary,
         WeightStorage, WindowKind,
     },
-    motion::{Animation, Skeleton},
+    motion::{Animation, MotionFrame, Skeleton},
     server::Generate,
 };
 use bytes::Bytes;
@@ -162,6 +162,7 @@ fn manifest() -> Manifest {
         },
         fps: 60,
         frames_per_code: 8,
+        motion_frame: MotionFrame::World,
         vocabulary: Vocabulary {
             upper: 512,
             lower: 512,

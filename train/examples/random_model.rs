@@ -6,7 +6,7 @@
 use std::{collections::BTreeMap, path::Path};
 
 use anyhow::Context;
-use bailando::{features::Profile, model::WeightStorage};
+use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
 use bailando_train::{
     Tensor,
     export::{Description, write_model_directory},
@@ -39,6 +39,7 @@ fn main() -> anyhow::Result<()> {
         profile: Profile::Librosa011,
         start_codes: Vec::new(),
         temperature: 1.0,
+        motion_frame: MotionFrame::World,
         root_height: 0.93,
         weights: WeightStorage::F32,
         training: BTreeMap::new(),

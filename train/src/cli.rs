@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use bailando::{features::Profile, model::Manifest, model::WeightStorage};
+use bailando::{features::Profile, model::Manifest, model::WeightStorage, motion::MotionFrame};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::{
@@ -329,6 +329,7 @@ impl From<ImportArguments> for ImportOptions {
                 },
                 start_codes: Vec::new(),
                 temperature: arguments.temperature,
+                motion_frame: MotionFrame::World,
                 root_height: arguments.root_height,
                 weights: match arguments.weights {
                     Weights::F16 => WeightStorage::F16,

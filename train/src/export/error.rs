@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use bailando::model::ModelError;
+use bailando::{model::ModelError, motion::MotionFrame};
 
 use crate::onnx::GraphError;
 
@@ -21,6 +21,19 @@ pub enum ExportError {
         gpt: usize,
         /// Rows of the codebook.
         codebook: usize,
+    },
+    /// The root's decoder is not one of the frame that the motion is said to be in.
+    #[error(
+        "the root's decoder gives {found} columns, but motion in the {} frame has {expected}: is the frame right?",
+        match frame { MotionFrame::World => "world's", MotionFrame::Dancer => "dancer's" }
+    )]
+    Frame {
+        /// The frame.
+        frame: MotionFrame,
+        /// Columns that it needs.
+        expected: usize,
+        /// Columns of the weights.
+        found: usize,
     },
     /// A graph could not be built.
     #[error(transparent)]

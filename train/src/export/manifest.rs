@@ -8,6 +8,7 @@ use bailando::{
         DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults, Vocabulary,
         WindowKind,
     },
+    motion::MotionFrame,
 };
 
 use super::{Description, ExportError, skeleton};
@@ -41,6 +42,7 @@ pub(super) fn manifest(
         },
         fps: FPS,
         frames_per_code: vqvae.frames_per_code(),
+        motion_frame: checked_frame(vqvae, description.motion_frame)?,
         vocabulary: vocabulary(gpt, vqvae)?,
         gpt: GptSpec {
             block: gpt.block(),
@@ -66,6 +68,19 @@ pub(super) fn manifest(
         weights: description.weights,
         files: BTreeMap::new(),
         training: description.training.clone(),
+    })
+}
+
+/// The root moves and, in the dancer's frame, turns: its decoder has the columns of one joint.
+fn checked_frame(vqvae: &VqVaeWeights, frame: MotionFrame) -> Result<MotionFrame, ExportError> {
+    let (expected, found) = (frame.columns(1), vqvae.root_columns());
+    if found == expected {
+        return Ok(frame);
+    }
+    Err(ExportError::Frame {
+        frame,
+        expected,
+        found,
     })
 }
 

@@ -14,6 +14,7 @@ use std::{collections::BTreeMap, path::Path};
 use bailando::{
     features::Profile,
     model::{Manifest, ModelDirectory, WeightStorage},
+    motion::MotionFrame,
 };
 
 use crate::{
@@ -35,6 +36,8 @@ pub struct Description {
     pub start_codes: Vec<[u32; 2]>,
     /// Default temperature; 0 takes the most likely code.
     pub temperature: f32,
+    /// Frame of the motion that the weights were trained on.
+    pub motion_frame: MotionFrame,
     /// Height in metres at which the root starts.
     pub root_height: f32,
     /// How weights are stored.

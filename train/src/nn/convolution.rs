@@ -1,34 +1,20 @@
-//! Convolutions along time as matrix products over shifted slices, channels last.
-//!
-//! One product of `[batch * time, kernel * in]` with `[kernel * in, out]` is faster than the
-//! backends' own convolutions on a CPU (docs/training.md), and its derivative is two products.
+//! Convolutions along time and residual blocks of them, channels last.
 
-use burn_tensor::{Tensor as Device, activation::relu, backend::Backend};
+use burn_tensor::Tensor as Device;
 
-use super::parameters::{Parameters, Slot, Store};
+use super::{
+    kernels::{Convolution as Plan, Kernels, Kind},
+    parameters::{Parameters, Slot, Store},
+};
 use crate::{Tensor, weights::Convolution};
-
-/// How a convolution moves along time (ARCHITECTURE section 2).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
-    /// Kernel 3 with this dilation and padding.
-    Dilated(usize),
-    /// Kernel 1.
-    Pointwise,
-    /// Kernel 4, stride 2, padding 1.
-    Halving,
-    /// The transpose of that.
-    Doubling,
-}
 
 #[derive(Clone, Debug)]
 pub(super) struct ConvolutionNet {
-    kind: Kind,
+    plan: Plan,
     /// `[kernel, in, out]`.
     weight: Slot,
     /// `[out]`.
     bias: Slot,
-    outputs: usize,
 }
 
 impl ConvolutionNet {
@@ -38,8 +24,12 @@ impl ConvolutionNet {
             _ => permuted(&weights.weight, [2, 1, 0]),
         };
         Self {
-            kind,
-            outputs: weights.bias.dim(0),
+            plan: Plan {
+                kind,
+                rectified: false,
+                inputs: tensor.dim(1),
+                outputs: tensor.dim(2),
+            },
             weight: store.push(format!("{name}.weight"), tensor),
             bias: store.push(format!("{name}.bias"), weights.bias.clone()),
         }
@@ -48,7 +38,7 @@ impl ConvolutionNet {
     pub(super) fn weights(&self, store: &Store) -> Convolution {
         let weight = store.get(self.weight);
         Convolution {
-            weight: match self.kind {
+            weight: match self.plan.kind {
                 Kind::Doubling => permuted(weight, [1, 2, 0]),
                 _ => permuted(weight, [2, 1, 0]),
             },
@@ -57,56 +47,35 @@ impl ConvolutionNet {
     }
 
     /// `[batch, time, in]` to `[batch, time', out]`; time is even where it is halved.
-    pub(super) fn forward<B: Backend>(
+    pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         input: Device<B, 3>,
     ) -> Device<B, 3> {
-        let [batch, time, channels] = input.dims();
-        match self.kind {
-            Kind::Pointwise => self.product(parameters, input),
-            Kind::Dilated(dilation) => {
-                let padded = padded(input, dilation);
-                let slices = (0..3).map(|tap| padded.clone().narrow(1, tap * dilation, time));
-                self.product(parameters, Device::cat(slices.collect(), 2))
-            }
-            Kind::Halving => {
-                // Two neighbouring frames side by side: a kernel of 4 is a kernel of 2 over pairs.
-                let pairs = padded(input, 1).reshape([batch, time / 2 + 1, 2 * channels]);
-                let slices = (0..2).map(|tap| pairs.clone().narrow(1, tap, time / 2));
-                self.product(parameters, Device::cat(slices.collect(), 2))
-            }
-            Kind::Doubling => self.doubled(parameters, input),
-        }
+        self.run(self.plan, parameters, input)
     }
 
-    fn product<B: Backend>(&self, parameters: &Parameters<B>, input: Device<B, 3>) -> Device<B, 3> {
-        let [batch, time, columns] = input.dims();
-        let rows = input.reshape([batch * time, columns]);
-        let result = rows.matmul(parameters.matrix(self.weight)) + parameters.row(self.bias);
-        result.reshape([batch, time, self.outputs])
+    /// The same of `relu(input)`.
+    fn forward_rectified<B: Kernels>(
+        &self,
+        parameters: &Parameters<B>,
+        input: Device<B, 3>,
+    ) -> Device<B, 3> {
+        let plan = Plan {
+            rectified: true,
+            ..self.plan
+        };
+        self.run(plan, parameters, input)
     }
 
-    /// Output `2i` is tap 3 of frame `i - 1` and tap 1 of frame `i`; output `2i + 1` is tap 2 of
-    /// frame `i` and tap 0 of frame `i + 1`.
-    fn doubled<B: Backend>(&self, parameters: &Parameters<B>, input: Device<B, 3>) -> Device<B, 3> {
-        let [batch, time, channels] = input.dims();
-        let outputs = self.outputs;
-        let weight: Device<B, 3> = parameters.get(self.weight);
-        let taps = |first: usize, second: usize| {
-            let tap = |index| weight.clone().narrow(0, index, 1);
-            Device::cat(vec![tap(first), tap(second)], 1).reshape([2 * channels, outputs])
-        };
-        let padded = padded(input, 1);
-        let pairs = |from: usize| {
-            let slice = |start| padded.clone().narrow(1, start, time);
-            Device::cat(vec![slice(from), slice(from + 1)], 2).reshape([batch * time, 2 * channels])
-        };
-        let even = pairs(0).matmul(taps(3, 1));
-        let odd = pairs(1).matmul(taps(2, 0));
-        let bias = parameters.row(self.bias).repeat_dim(1, 2);
-        let both = Device::cat(vec![even, odd], 1) + bias;
-        both.reshape([batch, 2 * time, outputs])
+    fn run<B: Kernels>(
+        &self,
+        plan: Plan,
+        parameters: &Parameters<B>,
+        input: Device<B, 3>,
+    ) -> Device<B, 3> {
+        let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
+        B::convolve(plan, input, weight, bias)
     }
 }
 
@@ -119,21 +88,14 @@ pub(super) struct ResidualNet {
 }
 
 impl ResidualNet {
-    pub(super) fn forward<B: Backend>(
+    pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         input: Device<B, 3>,
     ) -> Device<B, 3> {
-        let wide = self.dilated.forward(parameters, relu(input.clone()));
-        input + self.pointwise.forward(parameters, relu(wide))
+        let wide = self.dilated.forward_rectified(parameters, input.clone());
+        input + self.pointwise.forward_rectified(parameters, wide)
     }
-}
-
-/// Zeros of `length` frames at both ends.
-fn padded<B: Backend>(input: Device<B, 3>, length: usize) -> Device<B, 3> {
-    let [batch, _, channels] = input.dims();
-    let zeros = Device::zeros([batch, length, channels], &input.device());
-    Device::cat(vec![zeros.clone(), input, zeros], 1)
 }
 
 /// The tensor whose dimension `i` is dimension `axes[i]` of `tensor`.

@@ -9,12 +9,14 @@ mod codebook;
 mod convolution;
 mod gpt;
 mod initial;
+mod kernels;
 mod parameters;
 mod vqvae;
 
 pub use codebook::{Codebook, MovingAverage};
 pub use gpt::{GptNet, Logits};
 pub use initial::{GptSizes, VqVaeSizes, random_gpt, random_vqvae};
+pub use kernels::{Convolution, ConvolutionGradients, Kernels, Kind, Trainable};
 pub(crate) use parameters::values;
 pub use parameters::{Parameters, Store};
 pub use vqvae::{DecoderNet, EncoderNet, HalfNet};

@@ -102,11 +102,9 @@ impl<B: Backend> Parameters<B> {
         &mut self.tensors
     }
 
-    /// One tensor in its shape.
-    pub(super) fn get<const D: usize>(&self, slot: Slot) -> Device<B, D> {
-        let mut shape = [1; D];
-        shape.copy_from_slice(&self.shapes[slot.0]);
-        self.tensors[slot.0].clone().reshape(shape)
+    /// One tensor as it is kept.
+    pub(super) fn flat(&self, slot: Slot) -> Device<B, 1> {
+        self.tensors[slot.0].clone()
     }
 
     /// The first dimensions taken together: a matrix with as many columns as the last dimension.

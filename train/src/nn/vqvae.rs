@@ -1,9 +1,10 @@
 //! Encoder, decoder and half of the pose VQ-VAE (ARCHITECTURE section 2).
 
-use burn_tensor::{Int, Tensor as Device, backend::Backend};
+use burn_tensor::{Int, Tensor as Device};
 
 use super::{
-    convolution::{ConvolutionNet, Kind, ResidualNet},
+    convolution::{ConvolutionNet, ResidualNet},
+    kernels::{Kernels, Kind},
     parameters::{Parameters, Store},
 };
 use crate::weights::{
@@ -33,7 +34,7 @@ struct Level {
 }
 
 impl Level {
-    fn stacked<B: Backend>(&self, parameters: &Parameters<B>, input: Device<B, 3>) -> Device<B, 3> {
+    fn stacked<B: Kernels>(&self, parameters: &Parameters<B>, input: Device<B, 3>) -> Device<B, 3> {
         let blocks = self.stack.iter();
         blocks.fold(input, |hidden, block| block.forward(parameters, hidden))
     }
@@ -81,7 +82,7 @@ impl EncoderNet {
     }
 
     /// `[batch, frames, columns]` to `[batch, codes, embedding]`; frames are a multiple of a code's.
-    pub fn forward<B: Backend>(
+    pub fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         motion: Device<B, 3>,
@@ -136,7 +137,7 @@ impl DecoderNet {
     }
 
     /// `[batch, codes, embedding]` to `[batch, frames, columns]`.
-    pub fn forward<B: Backend>(
+    pub fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         embeddings: Device<B, 3>,
@@ -170,7 +171,7 @@ impl HalfNet {
     }
 
     /// The codes of `[batch, frames, columns]` motion, `[batch * codes]`.
-    pub fn encode<B: Backend>(
+    pub fn encode<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         codebook: &super::Codebook<B>,

@@ -21,7 +21,8 @@ const COORDINATES: usize = 3;
 /// Writes `decoder.onnx`.
 ///
 /// Inputs: `upper`, `lower` int64 [batch, codes]. Output: `motion` float32 [batch, frames, 72],
-/// joint by joint, the root's velocity in the first three columns.
+/// joint by joint, the root's velocity in the first three columns. What the root's decoder gives
+/// beyond the velocity (the turn, in the dancer's frame) follows the joints.
 ///
 /// # Errors
 /// [`GraphError::HalfRange`].
@@ -56,14 +57,15 @@ pub fn decoder_graph(
         &[&velocity, &lower, &upper],
         &[("axis", channels)],
     );
-    let order = graph.ints("joint_order", &joint_order());
+    let order = column_order(weights.root_columns());
+    let columns = order.len();
+    let order = graph.ints("column_order", &order);
     let ordered = graph.apply("Gather", &[&all, &order], &[("axis", channels)]);
     let motion = graph.apply(
         "Transpose",
         &[&ordered],
         &[("perm", Attribute::Ints(&[0, 2, 1]))],
     );
-    let columns = joint_order().len();
     let shape = [
         Dim::Named("batch"),
         Dim::Named("frames"),
@@ -73,8 +75,8 @@ pub fn decoder_graph(
     graph.finish()
 }
 
-/// Where each motion column is found behind one another in velocity, lower and upper columns.
-fn joint_order() -> Vec<i64> {
+/// Where each motion column is found behind one another in root, lower and upper columns.
+fn column_order(root_columns: usize) -> Vec<i64> {
     let (upper, lower) = HALF_JOINTS;
     let mut order = vec![0; COORDINATES * (upper.len() + lower.len())];
     let halves = lower.iter().chain(&upper);
@@ -83,7 +85,7 @@ fn joint_order() -> Vec<i64> {
         let source = if joint == 0 {
             0
         } else {
-            COORDINATES * (place + 1)
+            root_columns + COORDINATES * place
         };
         for coordinate in 0..COORDINATES {
             if let Some(column) = order.get_mut(COORDINATES * joint + coordinate) {
@@ -91,6 +93,7 @@ fn joint_order() -> Vec<i64> {
             }
         }
     }
+    order.extend((COORDINATES..root_columns).map(|column| column as i64));
     order
 }
 
@@ -237,7 +240,7 @@ mod tests {
 
     #[test]
     fn every_column_has_its_source() {
-        let order = joint_order();
+        let order = column_order(3);
         assert_eq!(order.len(), 72);
         // Velocity, left hip (second of the lower half), spine1 (first of the upper half).
         assert_eq!(order[..3], [0, 1, 2]);
@@ -247,6 +250,19 @@ mod tests {
         sources.sort_unstable();
         // All but the root's own columns of the lower half.
         let expected: Vec<i64> = (0..3).chain(6..75).collect();
+        assert_eq!(sources, expected);
+    }
+
+    #[test]
+    fn the_turn_follows_the_joints() {
+        let order = column_order(4);
+        assert_eq!(order.len(), 73);
+        assert_eq!(order[..3], [0, 1, 2]);
+        assert_eq!(order[3..6], [7, 8, 9]);
+        assert_eq!(order[72], 3);
+        let mut sources = order;
+        sources.sort_unstable();
+        let expected: Vec<i64> = (0..4).chain(7..76).collect();
         assert_eq!(sources, expected);
     }
 }

@@ -22,7 +22,8 @@ const COORDINATES: usize = 3;
 /// Writes `encoder.onnx`.
 ///
 /// Input: `motion` float32 [batch, frames, 72], joints relative to the root; the root's own
-/// columns count as zero whatever they hold. Outputs: `upper`, `lower` int64 [batch, codes], the
+/// columns count as zero whatever they hold. Models of the dancer's frame take joints that are
+/// turned to face +z already, without the column of turns. Outputs: `upper`, `lower` int64 [batch, codes], the
 /// nearest entries of the codebooks, the first one on ties.
 ///
 /// # Errors

@@ -2,7 +2,6 @@
 
 use std::io::Write;
 
-use burn_tensor::backend::Backend;
 use rayon::prelude::*;
 
 use super::{
@@ -10,7 +9,7 @@ use super::{
     input::MotionPiece,
     vqvae::{Trained, half_crops},
 };
-use crate::data::Draw;
+use crate::{data::Draw, nn::Kernels};
 
 /// Dances between two lines of progress.
 const DANCES_A_LINE: usize = 16;
@@ -40,7 +39,7 @@ pub(super) struct Augmentation {
 
 impl Codes {
     /// Encodes all dances, several at a time, and reports progress.
-    pub(super) fn encode<B: Backend>(
+    pub(super) fn encode<B: Kernels>(
         frozen: &Trained<B>,
         pieces: &[MotionPiece],
         wanted: Augmentation,
@@ -72,7 +71,7 @@ impl Codes {
     }
 }
 
-fn variants<B: Backend>(
+fn variants<B: Kernels>(
     frozen: &Trained<B>,
     piece: &MotionPiece,
     wanted: Augmentation,

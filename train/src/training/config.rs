@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use bailando::{features::Profile, model::WeightStorage};
+use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
@@ -38,27 +38,15 @@ pub struct DataConfig {
     pub phases: usize,
 }
 
-/// Which frame motion is learned in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum MotionFrame {
-    /// Directions of the world.
-    World,
-    /// Turned with the dancer, and the rate of turning.
-    Dancer,
-}
-
-impl MotionFrame {
+impl DataConfig {
     /// Motion columns that the root's decoder gives.
-    pub(super) fn root_columns(self) -> &'static [usize] {
-        match self {
-            Self::World => &[0, 1, 2],
-            Self::Dancer => &[0, 1, 2, 3 * JOINTS],
+    pub(super) fn root_columns(&self) -> &'static [usize] {
+        match self.frame {
+            MotionFrame::World => &[0, 1, 2],
+            MotionFrame::Dancer => &[0, 1, 2, 3 * JOINTS],
         }
     }
-}
 
-impl DataConfig {
     /// Folder of the songs, where they are kept apart.
     pub(super) fn audio_folder(&self) -> Option<&Path> {
         Some(self.audio.as_path()).filter(|folder| !folder.as_os_str().is_empty())

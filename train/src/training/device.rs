@@ -3,12 +3,12 @@
 use std::{io::Write, path::Path};
 
 use burn_autodiff::Autodiff;
-use burn_tensor::backend::AutodiffBackend;
 
 use super::{
     Config, Limits, Load, MotionSet, Outcome, TrainError, config::Keep, gpt::GptWork, runner::run,
     velocity::VelocityWork, vqvae::VqVaeWork,
 };
+use crate::nn::Trainable;
 
 /// A stage that learns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -92,7 +92,7 @@ pub fn train(
     }
 }
 
-fn on<A: AutodiffBackend>(
+fn on<A: Trainable>(
     stage: Stage,
     config: &Config,
     set: &MotionSet,

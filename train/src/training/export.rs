@@ -41,6 +41,7 @@ pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
         profile: config.data.profile,
         start_codes,
         temperature: config.export.temperature,
+        motion_frame: config.data.frame,
         root_height: config.export.root_height,
         weights: config.export.weights,
         training: BTreeMap::from(training.map(|(name, value)| (name.to_owned(), value))),

@@ -2,10 +2,7 @@
 
 use std::{collections::BTreeSet, io::Write, path::Path};
 
-use burn_tensor::{
-    Int, Tensor as Device, TensorData, activation::log_softmax, backend::AutodiffBackend,
-    backend::Backend,
-};
+use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax, backend::Backend};
 
 use super::{
     Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
@@ -19,7 +16,7 @@ use crate::{
     Tensor,
     checkpoint::Checkpoint,
     data::{CropPlan, Draw, Training, rows_beside},
-    nn::{GptNet, GptSizes, Parameters, Store, random_gpt},
+    nn::{GptNet, GptSizes, Parameters, Store, Trainable, random_gpt},
     weights::{GptWeights, Linear},
 };
 
@@ -92,7 +89,7 @@ impl MusicScale {
     }
 }
 
-pub(super) struct GptWork<'a, A: AutodiffBackend> {
+pub(super) struct GptWork<'a, A: Trainable> {
     config: &'a Config,
     set: &'a MotionSet,
     windows: Windows,
@@ -117,7 +114,7 @@ pub(super) fn random(config: &Config, columns: usize) -> GptWeights {
     random_gpt(sizes, config.run.seed ^ 2)
 }
 
-impl<'a, A: AutodiffBackend> GptWork<'a, A> {
+impl<'a, A: Trainable> GptWork<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
@@ -266,7 +263,7 @@ impl<'a, A: AutodiffBackend> GptWork<'a, A> {
     }
 }
 
-impl<A: AutodiffBackend> Work<A> for GptWork<'_, A> {
+impl<A: Trainable> Work<A> for GptWork<'_, A> {
     const COLUMNS: &'static [&'static str] = &["loss", "upper", "lower"];
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {

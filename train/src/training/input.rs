@@ -2,12 +2,12 @@
 
 use std::{io::Write, marker::PhantomData, sync::Arc};
 
-use bailando::motion::{MotionError, Positions, to_dancer_frame};
+use bailando::motion::{MotionError, MotionFrame, Positions, to_dancer_frame};
 use ndarray::Array2;
 
 use super::{
     Config, Stage, TrainError,
-    config::{DataConfig, MotionFrame},
+    config::DataConfig,
     keep::settings,
     songs::{MusicRows, song_rows},
 };
@@ -165,6 +165,14 @@ impl<S: SplitKind> Dances<S> {
 }
 
 impl Dances<Training> {
+    /// A short text that changes with the amount of data: resuming with other data is refused.
+    fn amount(&self) -> String {
+        let frames: usize = self.pieces.iter().map(MotionPiece::frames).sum();
+        let songs: usize = self.pieces.iter().map(|piece| piece.songs.len()).sum();
+        let dances = self.pieces.len();
+        format!("{dances} dances of {frames} frames with {songs} songs")
+    }
+
     /// What can be drawn of each dance where music does not matter.
     pub(super) fn motion_choices(&self, phases: usize) -> Vec<Choice> {
         let choice = |piece: &MotionPiece| Choice {
@@ -183,14 +191,6 @@ impl Dances<Training> {
             phases: piece.phases(phases),
         };
         self.pieces.iter().map(choice).collect()
-    }
-
-    /// A short text that changes with the amount of data: resuming with other data is refused.
-    fn amount(&self) -> String {
-        let frames: usize = self.pieces.iter().map(MotionPiece::frames).sum();
-        let songs: usize = self.pieces.iter().map(|piece| piece.songs.len()).sum();
-        let dances = self.pieces.len();
-        format!("{dances} dances of {frames} frames with {songs} songs")
     }
 }
 

@@ -26,7 +26,8 @@ mod vqvae;
 mod whole;
 mod windows;
 
-pub use config::{Config, DataConfig, Keep, MotionFrame, Schedule, TrainingConfig};
+pub use bailando::motion::MotionFrame;
+pub use config::{Config, DataConfig, Keep, Schedule, TrainingConfig};
 pub use device::{Stage, train};
 pub use error::TrainError;
 pub use export::{export, trained_weights};

@@ -2,19 +2,19 @@
 
 use std::{fs, io::Write, path::PathBuf, time::Instant};
 
-use burn_tensor::{Tensor as Device, backend::AutodiffBackend};
+use burn_tensor::Tensor as Device;
 
 use super::{
     TrainError, TrainingConfig, config::RunConfig, keep::CHECKPOINT_FILE, metrics::Metrics,
     plots::Plots, progress::Progress, saved::Saved, state::State,
 };
-use crate::nn::{Parameters, Store};
+use crate::nn::{Parameters, Store, Trainable};
 
 /// Prefix of the weights in a stage's checkpoint.
 pub(super) const WEIGHT: &str = "weight.";
 
 /// What a stage does in a step, and what it keeps beside weights.
-pub(super) trait Work<A: AutodiffBackend> {
+pub(super) trait Work<A: Trainable> {
     /// Names of the metrics; the first is the loss.
     const COLUMNS: &'static [&'static str];
     /// Names of the metrics on the test split, the first is the loss that the best checkpoint is kept by; empty: none.
@@ -32,7 +32,7 @@ pub(super) trait Work<A: AutodiffBackend> {
     fn restore(&mut self, saved: &Saved) -> Result<(), String>;
 }
 
-pub(super) struct Losses<A: AutodiffBackend> {
+pub(super) struct Losses<A: Trainable> {
     pub(super) loss: Device<A, 1>,
     pub(super) metrics: Vec<Device<A::InnerBackend, 1>>,
 }
@@ -77,7 +77,7 @@ pub(super) fn checkpoint_path(run: &RunConfig, stage: &str) -> PathBuf {
 }
 
 /// Runs a stage from its checkpoint, or from the plan's weights, to its end or a limit.
-pub(super) fn run<A: AutodiffBackend, W: Work<A>>(
+pub(super) fn run<A: Trainable, W: Work<A>>(
     plan: &Plan<'_>,
     work: &mut W,
     device: &A::Device,
@@ -133,7 +133,7 @@ pub(super) fn run<A: AutodiffBackend, W: Work<A>>(
 }
 
 /// What there is to say about the last step: a test, a line of metrics, a line of progress.
-fn report<A: AutodiffBackend, W: Work<A>>(
+fn report<A: Trainable, W: Work<A>>(
     plan: &Plan<'_>,
     work: &W,
     state: &mut State<A>,

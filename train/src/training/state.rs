@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use burn_tensor::{Tensor as Device, backend::AutodiffBackend};
+use burn_tensor::Tensor as Device;
 
 use super::{
     TrainError, TrainingConfig,
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     Tensor,
-    nn::{Parameters, values},
+    nn::{Parameters, Trainable, values},
 };
 
 const FIRST_MOMENT: &str = "adam.first.";
@@ -28,7 +28,7 @@ pub(super) struct Best {
     pub(super) step: u64,
 }
 
-pub(super) struct State<A: AutodiffBackend> {
+pub(super) struct State<A: Trainable> {
     parameters: Parameters<A::InnerBackend>,
     adam: Adam<A::InnerBackend>,
     pub(super) step: u64,
@@ -39,7 +39,7 @@ pub(super) struct State<A: AutodiffBackend> {
     folder: PathBuf,
 }
 
-impl<A: AutodiffBackend> State<A> {
+impl<A: Trainable> State<A> {
     /// From the checkpoint in `folder`, or from the plan's weights.
     pub(super) fn start<W: Work<A>>(
         plan: &Plan<'_>,

@@ -5,7 +5,6 @@ use std::{path::Path, sync::Arc};
 use bailando::motion::Positions;
 use burn_autodiff::Autodiff;
 use burn_flex::{Flex, FlexDevice};
-use burn_tensor::backend::Backend;
 use ndarray::{Array2, Axis, Slice};
 
 use super::{
@@ -62,7 +61,7 @@ fn part(positions: &Positions, from: usize) -> Positions {
     positions.slice_axis(Axis(0), frames).to_owned()
 }
 
-fn codes<B: Backend<Device = FlexDevice>>(
+fn codes<B: crate::nn::Kernels<Device = FlexDevice>>(
     frozen: &Trained<B>,
     piece: &MotionPiece,
 ) -> [Vec<i32>; 2] {

@@ -1,6 +1,6 @@
 //! Stage `velocity`: the root's decoder on frozen codes of the lower half.
 
-use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
+use burn_tensor::{Tensor as Device, TensorData, backend::Backend};
 
 use super::{
     Config, MotionSet, Stage, TrainError,
@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     data::{CropPlan, Draw},
-    nn::{DecoderNet, Parameters, Store},
+    nn::{DecoderNet, Parameters, Store, Trainable},
 };
 
 /// The root's decoder and the weights it starts from.
@@ -22,7 +22,7 @@ pub(super) fn root(config: &Config) -> (DecoderNet, Store) {
     (net, store)
 }
 
-pub(super) struct VelocityWork<'a, A: AutodiffBackend> {
+pub(super) struct VelocityWork<'a, A: Trainable> {
     config: &'a Config,
     set: &'a MotionSet,
     windows: Windows,
@@ -31,7 +31,7 @@ pub(super) struct VelocityWork<'a, A: AutodiffBackend> {
     device: A::Device,
 }
 
-impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
+impl<'a, A: Trainable> VelocityWork<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
@@ -87,7 +87,7 @@ impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
         let [rows, channels] = entries.dims();
         let entries = entries.reshape([windows.len(), rows / windows.len(), channels]);
 
-        let columns = self.config.data.frame.root_columns();
+        let columns = self.config.data.root_columns();
         let mut values = Vec::with_capacity(windows.len() * frames * columns.len());
         for window in windows {
             let piece = &pieces[window.dance];
@@ -111,7 +111,7 @@ impl<'a, A: AutodiffBackend> VelocityWork<'a, A> {
     }
 }
 
-impl<A: AutodiffBackend> Work<A> for VelocityWork<'_, A> {
+impl<A: Trainable> Work<A> for VelocityWork<'_, A> {
     const COLUMNS: &'static [&'static str] = &["loss", "velocity", "difference"];
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
+use burn_tensor::{Tensor as Device, TensorData, backend::Backend};
 
 use super::{
     Config, MotionSet, Stage, TrainError,
@@ -15,7 +15,10 @@ use super::{
 use crate::{
     checkpoint::Checkpoint,
     data::{CropPlan, Draw},
-    nn::{Codebook, HalfNet, MovingAverage, Parameters, Store, VqVaeSizes, random_vqvae, values},
+    nn::{
+        Codebook, HalfNet, MovingAverage, Parameters, Store, Trainable, VqVaeSizes, random_vqvae,
+        values,
+    },
     weights::{HALF_JOINTS, VqVaeWeights},
 };
 
@@ -49,7 +52,7 @@ impl Halves {
             width: config.vqvae.width,
             embedding: config.vqvae.embedding,
             codes: config.vqvae.codes,
-            root_columns: config.data.frame.root_columns().len(),
+            root_columns: config.data.root_columns().len(),
         };
         Self::new(random_vqvae(sizes, config.run.seed))
     }
@@ -143,7 +146,7 @@ pub(super) fn test_means<B: Backend, const N: usize>(
     (!crops.is_empty()).then(|| sums.map(mean).into())
 }
 
-pub(super) struct VqVaeWork<'a, A: AutodiffBackend> {
+pub(super) struct VqVaeWork<'a, A: Trainable> {
     config: &'a Config,
     set: &'a MotionSet,
     windows: Windows,
@@ -152,7 +155,7 @@ pub(super) struct VqVaeWork<'a, A: AutodiffBackend> {
     device: A::Device,
 }
 
-impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
+impl<'a, A: Trainable> VqVaeWork<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
@@ -292,7 +295,7 @@ impl<'a, A: AutodiffBackend> VqVaeWork<'a, A> {
     }
 }
 
-impl<A: AutodiffBackend> Work<A> for VqVaeWork<'_, A> {
+impl<A: Trainable> Work<A> for VqVaeWork<'_, A> {
     const COLUMNS: &'static [&'static str] = &[
         "loss",
         "upper_loss",

@@ -12,6 +12,8 @@ use crate::{
 pub(super) enum Size {
     /// Exactly this.
     Is(usize),
+    /// At least the first, at most the second.
+    Between(usize, usize),
     /// Whatever the file says, but not zero; the name is used in messages.
     Any(&'static str),
 }
@@ -40,6 +42,7 @@ impl<'a> Source<'a> {
                 .zip(shape)
                 .all(|(&found, size)| match *size {
                     Size::Is(expected) => found == expected,
+                    Size::Between(least, most) => (least..=most).contains(&found),
                     Size::Any(_) => found > 0,
                 });
         if fits {
@@ -71,6 +74,7 @@ fn describe(shape: &[Size]) -> String {
         .iter()
         .map(|size| match size {
             Size::Is(value) => value.to_string(),
+            Size::Between(least, most) => format!("{least} to {most}"),
             Size::Any(name) => (*name).to_owned(),
         })
         .collect();

@@ -4,7 +4,7 @@
 use super::{
     WeightError,
     source::{
-        Size::{self, Any, Is},
+        Size::{self, Any, Between, Is},
         Source,
     },
 };
@@ -100,7 +100,8 @@ pub struct VqVaeWeights {
     pub upper: HalfWeights,
     /// Lower half body.
     pub lower: HalfWeights,
-    /// From the lower half's embeddings to the root's velocity.
+    /// From the lower half's embeddings to the root's velocity, three columns; a fourth, where the
+    /// model works in the dancer's frame, is the turn to the next frame.
     pub root: DecoderWeights,
 }
 
@@ -124,7 +125,7 @@ impl VqVaeWeights {
             &mut source,
             "vqvae_down.decoders_root.0",
             DecoderSizes {
-                columns: 3,
+                columns: Between(3, 4),
                 embedding: lower.codebook.dim(1),
                 levels,
             },
@@ -136,6 +137,12 @@ impl VqVaeWeights {
     #[must_use]
     pub fn frames_per_code(&self) -> usize {
         1 << self.upper.encoder.levels.len()
+    }
+
+    /// Columns that the root's decoder gives.
+    #[must_use]
+    pub fn root_columns(&self) -> usize {
+        self.root.output.weight.dim(0)
     }
 
     /// Channels of the convolutions.
@@ -164,7 +171,7 @@ fn half(
         levels,
     )?;
     let sizes = DecoderSizes {
-        columns,
+        columns: Is(columns),
         embedding,
         levels: encoder.levels.len(),
     };
@@ -214,7 +221,7 @@ fn encoder(
 /// What a decoder must fit.
 #[derive(Clone, Copy)]
 struct DecoderSizes {
-    columns: usize,
+    columns: Size,
     embedding: usize,
     levels: usize,
 }
@@ -240,7 +247,7 @@ fn decoder(
         width = transposed.weight.dim(1);
         levels.push(DecoderLevel { stack, transposed });
     }
-    let shape = ConvolutionShape::new(Is(sizes.columns), Is(width), KERNEL);
+    let shape = ConvolutionShape::new(sizes.columns, Is(width), KERNEL);
     Ok(DecoderWeights {
         input,
         levels,

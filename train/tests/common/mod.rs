@@ -10,6 +10,7 @@ use std::{
 use bailando::{
     features::Profile,
     model::{ModelDirectory, WeightStorage},
+    motion::MotionFrame,
 };
 use bailando_train::{
     export::Description,
@@ -62,6 +63,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             profile: Profile::Librosa081,
             start_codes: Vec::new(),
             temperature: 0.0,
+            motion_frame: MotionFrame::World,
             root_height: 0.93,
             weights: WeightStorage::F32,
             training: Default::default(),

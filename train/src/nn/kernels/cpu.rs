@@ -1,0 +1,274 @@
+//! The kernels on a CPU: every group of pieces is lowered and multiplied on its own, by one thread.
+//!
+//! How pieces are grouped depends on their sizes alone, and groups are summed in order, so results
+//! do not depend on the number of threads.
+
+use burn_flex::{Flex, FlexTensor};
+use burn_tensor::{Tensor as Device, TensorData, TensorPrimitive};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, Slice, linalg::general_mat_mul};
+use rayon::prelude::*;
+
+use super::{Convolution, ConvolutionGradients, Kernels, lowering::Product};
+
+/// Rows of a matrix product that one thread takes at a time: large enough that a product is worth
+/// its preparation, small enough that its operands stay in a core's own cache.
+const GROUP_ROWS: usize = 480;
+
+impl Kernels for Flex {
+    fn convolve(
+        plan: Convolution,
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        bias: Device<Self, 1>,
+    ) -> Device<Self, 3> {
+        let [batch, time, _] = input.dims();
+        let (input, weight, bias) = (host(input), host(weight), host(bias));
+        let work = Work::new(plan, time, values(&weight));
+        let mut output = vec![0.0; batch * work.output_length()];
+        output
+            .par_chunks_mut((work.group() * work.output_length()).max(1))
+            .zip(values(&input).par_chunks((work.group() * work.input_length()).max(1)))
+            .for_each(|(output, input)| work.forward(input, values(&bias), output));
+        let frames = plan.rows(time) * plan.outputs_per_row();
+        tensor(output, [batch, frames, plan.outputs])
+    }
+
+    fn convolve_backward(
+        plan: Convolution,
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        outer: Device<Self, 3>,
+    ) -> ConvolutionGradients<Self> {
+        let shape = input.dims();
+        let [_, time, _] = shape;
+        let (input, weight, outer) = (host(input), host(weight), host(outer));
+        let work = Work::new(plan, time, values(&weight));
+        let mut by_input = vec![0.0; values(&input).len()];
+        let group = work.group();
+        let changes: Vec<Changes> = by_input
+            .par_chunks_mut((group * work.input_length()).max(1))
+            .zip(values(&input).par_chunks((group * work.input_length()).max(1)))
+            .zip(values(&outer).par_chunks((group * work.output_length()).max(1)))
+            .map(|((by_input, input), outer)| work.backward(input, outer, by_input))
+            .collect();
+        let mut weight_change = vec![0.0; values(&weight).len()];
+        let mut bias_change = vec![0.0; plan.outputs];
+        for change in &changes {
+            for (products, change) in work.products.iter().zip(&change.kernels) {
+                products.add_to(change, &mut weight_change);
+            }
+            for (sum, value) in bias_change.iter_mut().zip(&change.bias) {
+                *sum += value;
+            }
+        }
+        let (weights, biases) = (weight_change.len(), bias_change.len());
+        ConvolutionGradients {
+            input: tensor(by_input, shape),
+            weight: tensor(weight_change, [weights]),
+            bias: tensor(bias_change, [biases]),
+        }
+    }
+}
+
+/// Derivatives of one group.
+struct Changes {
+    /// One for each product.
+    kernels: Vec<Array2<f32>>,
+    bias: Vec<f32>,
+}
+
+/// A product with its part of the kernel, `[frames * in, out]`.
+struct Prepared {
+    product: Product,
+    kernel: Array2<f32>,
+    inputs: usize,
+}
+
+impl Prepared {
+    fn columns(&self) -> Slice {
+        let frames = &self.product.frames;
+        Slice::from(frames.start * self.inputs..frames.end * self.inputs)
+    }
+
+    fn outputs(&self) -> Slice {
+        let outputs = self.kernel.ncols();
+        Slice::from(self.product.output * outputs..(self.product.output + 1) * outputs)
+    }
+
+    /// Adds the derivative of this part to that of the whole kernel.
+    fn add_to(&self, change: &Array2<f32>, whole: &mut [f32]) {
+        let length = self.inputs * self.kernel.ncols();
+        let parts = change.as_slice().unwrap_or_default().chunks(length.max(1));
+        for (&tap, part) in self.product.taps.iter().zip(parts) {
+            let Some(slot) = whole.get_mut(tap * length..(tap + 1) * length) else {
+                continue;
+            };
+            for (sum, value) in slot.iter_mut().zip(part) {
+                *sum += value;
+            }
+        }
+    }
+}
+
+/// A convolution of pieces of one length.
+struct Work {
+    plan: Convolution,
+    time: usize,
+    rows: usize,
+    products: Vec<Prepared>,
+}
+
+impl Work {
+    fn new(plan: Convolution, time: usize, weight: &[f32]) -> Self {
+        let length = plan.inputs * plan.outputs;
+        let products = plan.products().into_iter().map(|product| {
+            let taps = product.taps.iter();
+            let kernel: Vec<f32> = taps
+                .flat_map(|tap| weight.get(tap * length..(tap + 1) * length).unwrap_or(&[]))
+                .copied()
+                .collect();
+            let mut kernel = kernel.into_iter();
+            let shape = (product.frames.len() * plan.inputs, plan.outputs);
+            Prepared {
+                kernel: Array2::from_shape_simple_fn(shape, || kernel.next().unwrap_or(0.0)),
+                product,
+                inputs: plan.inputs,
+            }
+        });
+        Self {
+            plan,
+            time,
+            rows: plan.rows(time),
+            products: products.collect(),
+        }
+    }
+
+    /// Pieces of a group.
+    fn group(&self) -> usize {
+        GROUP_ROWS.div_ceil(self.rows.max(1))
+    }
+
+    fn input_length(&self) -> usize {
+        self.time * self.plan.inputs
+    }
+
+    fn output_width(&self) -> usize {
+        self.plan.outputs_per_row() * self.plan.outputs
+    }
+
+    fn output_length(&self) -> usize {
+        self.rows * self.output_width()
+    }
+
+    fn forward(&self, input: &[f32], bias: &[f32], output: &mut [f32]) {
+        let lowered = self.lower(input);
+        for row in output.chunks_exact_mut(bias.len().max(1)) {
+            row.copy_from_slice(bias);
+        }
+        let Some(mut output) = matrix_mut(output, self.output_width()) else {
+            return;
+        };
+        for prepared in &self.products {
+            let columns = lowered.slice_axis(Axis(1), prepared.columns());
+            let mut output = output.slice_axis_mut(Axis(1), prepared.outputs());
+            general_mat_mul(1.0, &columns, &prepared.kernel, 1.0, &mut output);
+        }
+    }
+
+    fn backward(&self, input: &[f32], outer: &[f32], by_input: &mut [f32]) -> Changes {
+        let lowered = self.lower(input);
+        let mut by_lowered = Array2::<f32>::zeros(lowered.raw_dim());
+        let mut bias = vec![0.0; self.plan.outputs];
+        for row in outer.chunks_exact(bias.len().max(1)) {
+            for (sum, value) in bias.iter_mut().zip(row) {
+                *sum += value;
+            }
+        }
+        let mut kernels = Vec::with_capacity(self.products.len());
+        if let Some(outer) = matrix(outer, self.output_width()) {
+            for prepared in &self.products {
+                let outer = outer.slice_axis(Axis(1), prepared.outputs());
+                let columns = lowered.slice_axis(Axis(1), prepared.columns());
+                kernels.push(columns.t().dot(&outer));
+                let mut change = by_lowered.slice_axis_mut(Axis(1), prepared.columns());
+                general_mat_mul(1.0, &outer, &prepared.kernel.t(), 1.0, &mut change);
+            }
+        }
+        self.raise(&by_lowered, input, by_input);
+        Changes { kernels, bias }
+    }
+
+    /// Frames side by side, `[pieces * rows, frames * in]`.
+    fn lower(&self, input: &[f32]) -> Array2<f32> {
+        let channels = self.plan.inputs;
+        let width = self.plan.frames() * channels;
+        let pieces = input.len() / self.input_length().max(1);
+        let mut lowered = Vec::with_capacity(pieces * self.rows * width);
+        for piece in input.chunks_exact(self.input_length().max(1)) {
+            for row in 0..self.rows {
+                for frame in 0..self.plan.frames() {
+                    let source = self.plan.source(row, frame, self.time);
+                    let source =
+                        source.and_then(|at| piece.get(at * channels..(at + 1) * channels));
+                    match source {
+                        None => lowered.resize(lowered.len() + channels, 0.0),
+                        Some(values) if self.plan.rectified => {
+                            lowered.extend(values.iter().map(|value| value.max(0.0)));
+                        }
+                        Some(values) => lowered.extend_from_slice(values),
+                    }
+                }
+            }
+        }
+        Array2::from_shape_vec((pieces * self.rows, width), lowered).unwrap_or_default()
+    }
+
+    /// The transpose of [`Work::lower`], and of the rectifier.
+    fn raise(&self, lowered: &Array2<f32>, input: &[f32], raised: &mut [f32]) {
+        let channels = self.plan.inputs;
+        let length = self.input_length().max(1);
+        let rows = lowered.as_slice().unwrap_or_default();
+        let width = (self.plan.frames() * channels).max(1);
+        let pieces = rows.chunks_exact((self.rows * width).max(1));
+        for (piece, rows) in raised.chunks_exact_mut(length).zip(pieces) {
+            for (row, values) in rows.chunks_exact(width).enumerate() {
+                for (frame, values) in values.chunks_exact(channels.max(1)).enumerate() {
+                    let target = self.plan.source(row, frame, self.time);
+                    let target =
+                        target.and_then(|at| piece.get_mut(at * channels..(at + 1) * channels));
+                    for (sum, value) in target.into_iter().flatten().zip(values) {
+                        *sum += value;
+                    }
+                }
+            }
+        }
+        if self.plan.rectified {
+            for (value, input) in raised.iter_mut().zip(input) {
+                *value = if *input > 0.0 { *value } else { 0.0 };
+            }
+        }
+    }
+}
+
+fn matrix(values: &[f32], width: usize) -> Option<ArrayView2<'_, f32>> {
+    ArrayView2::from_shape((values.len() / width.max(1), width), values).ok()
+}
+
+fn matrix_mut(values: &mut [f32], width: usize) -> Option<ArrayViewMut2<'_, f32>> {
+    ArrayViewMut2::from_shape((values.len() / width.max(1), width), values).ok()
+}
+
+/// The tensor with its values in order.
+pub(super) fn host<const D: usize>(tensor: Device<Flex, D>) -> FlexTensor {
+    tensor.into_primitive().tensor().to_contiguous()
+}
+
+/// The values of a tensor from [`host`].
+pub(super) fn values(tensor: &FlexTensor) -> &[f32] {
+    tensor.as_slice().unwrap_or_default()
+}
+
+pub(super) fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Device<Flex, D> {
+    let primitive = FlexTensor::from_data(TensorData::new(values, shape));
+    Device::from_primitive(TensorPrimitive::Float(primitive))
+}

@@ -1,0 +1,158 @@
+//! The kernels in a backend's own tensor operations, derivatives by its own rules' formulas.
+
+use burn_tensor::{Tensor as Device, activation::relu, backend::Backend};
+
+use super::{Convolution, ConvolutionGradients, Kind, lowering::Product};
+
+pub(super) fn convolve<B: Backend>(
+    plan: Convolution,
+    input: Device<B, 3>,
+    weight: Device<B, 1>,
+    bias: Device<B, 1>,
+) -> Device<B, 3> {
+    let [batch, time, _] = input.dims();
+    let outputs = plan.outputs;
+    let lowered = lower(plan, input);
+    let parts = plan.products().into_iter().map(|product| {
+        let columns = columns(plan, &product, lowered.clone());
+        columns.matmul(kernel_rows(plan, &product, weight.clone()))
+    });
+    let together = Device::cat(parts.collect(), 1);
+    let frames = plan.rows(time) * plan.outputs_per_row();
+    together.reshape([batch, frames, outputs]) + bias.reshape([1, 1, outputs])
+}
+
+pub(super) fn convolve_backward<B: Backend>(
+    plan: Convolution,
+    input: Device<B, 3>,
+    weight: Device<B, 1>,
+    outer: Device<B, 3>,
+) -> ConvolutionGradients<B> {
+    let [batch, time, channels] = input.dims();
+    let (rows, outputs) = (batch * plan.rows(time), plan.outputs);
+    let device = input.device();
+    let lowered = lower(plan, input.clone());
+    let wide = outer
+        .clone()
+        .reshape([rows, plan.outputs_per_row() * outputs]);
+    let width = plan.frames() * channels;
+    let mut by_lowered = Device::zeros([rows, width], &device);
+    let mut by_kernel: Vec<Option<Device<B, 2>>> = vec![None; plan.kernel()];
+    for product in plan.products() {
+        let outer = wide.clone().narrow(1, product.output * outputs, outputs);
+        let from = product.frames.start * channels;
+        let length = product.frames.len() * channels;
+        let change = outer
+            .clone()
+            .matmul(kernel_rows(plan, &product, weight.clone()).transpose());
+        let before = Device::zeros([rows, from], &device);
+        let after = Device::zeros([rows, width - from - length], &device);
+        by_lowered = by_lowered + Device::cat(vec![before, change, after], 1);
+        let columns = columns(plan, &product, lowered.clone());
+        let change = columns.transpose().matmul(outer);
+        for (place, &tap) in product.taps.iter().enumerate() {
+            if let Some(slot) = by_kernel.get_mut(tap) {
+                *slot = Some(change.clone().narrow(0, place * channels, channels));
+            }
+        }
+    }
+    let by_input = raise(
+        plan,
+        by_lowered.reshape([batch, plan.rows(time), width]),
+        time,
+    );
+    let by_input = if plan.rectified {
+        by_input.mask_fill(input.lower_equal_elem(0.0), 0.0)
+    } else {
+        by_input
+    };
+    ConvolutionGradients {
+        input: by_input,
+        weight: Device::cat(by_kernel.into_iter().flatten().collect(), 0)
+            .reshape([plan.kernel() * channels * outputs]),
+        bias: outer.sum_dim(0).sum_dim(1).reshape([outputs]),
+    }
+}
+
+/// `[batch, time, in]` to `[batch * rows, frames * in]`.
+fn lower<B: Backend>(plan: Convolution, input: Device<B, 3>) -> Device<B, 2> {
+    let [batch, time, channels] = input.dims();
+    let input = if plan.rectified { relu(input) } else { input };
+    let rows = plan.rows(time);
+    let slices = |padding: usize, step: usize, count: usize| {
+        let padded = padded(input.clone(), padding);
+        let slices = (0..count).map(|frame| padded.clone().narrow(1, frame * step, rows));
+        Device::cat(slices.collect(), 2)
+    };
+    let lowered = match plan.kind {
+        Kind::Pointwise => input,
+        Kind::Dilated(dilation) => slices(dilation, dilation, 3),
+        Kind::Doubling => slices(1, 1, 3),
+        Kind::Halving => {
+            // Two neighbouring frames side by side: a kernel of 4 is a kernel of 2 over pairs.
+            let pairs = padded(input, 1).reshape([batch, rows + 1, 2 * channels]);
+            let slices = (0..2).map(|pair| pairs.clone().narrow(1, pair, rows));
+            Device::cat(slices.collect(), 2)
+        }
+    };
+    lowered.reshape([batch * rows, plan.frames() * channels])
+}
+
+/// The transpose of [`lower`]: every value goes back to the frame that it came from.
+fn raise<B: Backend>(plan: Convolution, lowered: Device<B, 3>, time: usize) -> Device<B, 3> {
+    let [batch, rows, width] = lowered.dims();
+    let channels = width / plan.frames();
+    let device = lowered.device();
+    let (padding, step, unit) = match plan.kind {
+        Kind::Pointwise => return lowered,
+        Kind::Dilated(dilation) => (dilation, dilation, 1),
+        Kind::Doubling => (1, 1, 1),
+        Kind::Halving => (1, 1, 2),
+    };
+    let total = (time + 2 * padding) / unit;
+    let parts = (0..plan.frames() / unit).map(|frame| {
+        let width = unit * channels;
+        let slice = lowered.clone().narrow(2, frame * width, width);
+        let zeros = |length| Device::zeros([batch, length, width], &device);
+        let before = frame * step;
+        Device::cat(vec![zeros(before), slice, zeros(total - before - rows)], 1)
+    });
+    let summed = parts.reduce(|sum, part| sum + part);
+    let summed = summed.unwrap_or_else(|| Device::zeros([batch, total, unit * channels], &device));
+    summed
+        .reshape([batch, time + 2 * padding, channels])
+        .narrow(1, padding, time)
+}
+
+fn columns<B: Backend>(
+    plan: Convolution,
+    product: &Product,
+    lowered: Device<B, 2>,
+) -> Device<B, 2> {
+    let channels = plan.inputs;
+    lowered.narrow(
+        1,
+        product.frames.start * channels,
+        product.frames.len() * channels,
+    )
+}
+
+/// The parts of the kernel that a product needs, `[frames * in, out]`.
+fn kernel_rows<B: Backend>(
+    plan: Convolution,
+    product: &Product,
+    weight: Device<B, 1>,
+) -> Device<B, 2> {
+    let (channels, outputs) = (plan.inputs, plan.outputs);
+    let weight: Device<B, 2> = weight.reshape([plan.kernel() * channels, outputs]);
+    let taps = product.taps.iter();
+    let parts = taps.map(|tap| weight.clone().narrow(0, tap * channels, channels));
+    Device::cat(parts.collect(), 0)
+}
+
+/// Zeros of `length` frames at both ends.
+fn padded<B: Backend>(input: Device<B, 3>, length: usize) -> Device<B, 3> {
+    let [batch, _, channels] = input.dims();
+    let zeros = Device::zeros([batch, length, channels], &input.device());
+    Device::cat(vec![zeros.clone(), input, zeros], 1)
+}

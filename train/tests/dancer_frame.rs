@@ -1,0 +1,226 @@
+//! A model whose motion is in the dancer's frame, from weights to the served dance: the golden
+//! model with a root's decoder that turns as well.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
+mod common;
+
+use std::{fs, path::Path, sync::Arc};
+
+use bailando::{
+    CancelToken,
+    audio::AudioLimits,
+    engine::{Choreographer, EngineConfig, GenerationOptions, RawDance},
+    model::{Manifest, ModelDirectory},
+    motion::{MotionFrame, to_world_frame},
+};
+use bailando_train::{
+    Tensor,
+    checkpoint::Checkpoint,
+    export::{ExportError, write_model_directory},
+    nn::{Codebook, DecoderNet, Parameters, Store},
+    weights::{Convolution, DecoderWeights, GptWeights, HALF_JOINTS, VqVaeWeights},
+};
+use burn_flex::{Flex, FlexDevice};
+use burn_tensor::{Int, Tensor as Device, TensorData};
+use common::{HEADS, assert_close, fixture, options};
+use ndarray::Array2;
+
+/// Turns are summed over a whole piece, and their rounding with them.
+const TOLERANCE: f32 = 5e-4;
+
+fn vqvae() -> VqVaeWeights {
+    let mut checkpoint = Checkpoint::open(&fixture("tiny_vqvae.pt")).unwrap();
+    VqVaeWeights::from_checkpoint(&mut checkpoint).unwrap()
+}
+
+/// The golden weights with a fourth row in the root's decoder, a turn to and fro.
+fn turning() -> VqVaeWeights {
+    let mut weights = vqvae();
+    let Convolution { weight, bias } = &weights.root.output;
+    let (mut values, mut offsets) = (weight.data().to_vec(), bias.data().to_vec());
+    let row = values.len() / 3;
+    values.extend((0..row).map(|place| 0.1 * (place as f32 * 1.7).sin()));
+    offsets.push(0.01);
+    let shape = vec![4, weight.dim(1), weight.dim(2)];
+    weights.root.output = Convolution {
+        weight: Tensor::new(shape, values).unwrap(),
+        bias: Tensor::new(vec![4], offsets).unwrap(),
+    };
+    weights
+}
+
+fn write(weights: &VqVaeWeights, frame: MotionFrame, out: &Path) -> Result<Manifest, ExportError> {
+    let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
+    let gpt = GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
+    let mut description = options(Path::new(""), Path::new(""), out).description;
+    description.motion_frame = frame;
+    write_model_directory(out, false, &gpt, weights, &description)
+}
+
+fn open(model: &Path) -> bailando::Result<Choreographer> {
+    Choreographer::open(&EngineConfig {
+        model_dir: model.to_owned(),
+        threads: 1,
+        queue: 1,
+        audio: AudioLimits::default(),
+    })
+}
+
+/// A dance of more than two chunks.
+fn dance(choreographer: &Choreographer) -> RawDance {
+    let music = Array2::from_shape_fn((150, 438), |(row, column)| {
+        ((row * 31 + column * 7) % 97) as f32 / 97.0 - 0.5
+    });
+    let options = GenerationOptions {
+        seed: Some(1),
+        temperature: Some(1.0),
+        ..GenerationOptions::default()
+    };
+    choreographer
+        .dance_to_rows(music, &options, &CancelToken::new(), Arc::new(()))
+        .unwrap()
+}
+
+/// What the trainer's network makes of `codes`, `[frames, columns]`.
+fn network(decoder: &DecoderWeights, codebook: &Tensor, codes: &[u32]) -> Array2<f32> {
+    let mut store = Store::default();
+    let net = DecoderNet::new("decoder", decoder, &mut store);
+    let parameters = Parameters::<Flex>::from_store(&store, &FlexDevice);
+    let indices: Vec<i32> = codes.iter().map(|&code| code as i32).collect();
+    let shape = [indices.len()];
+    let indices = Device::<Flex, 1, Int>::from_data(TensorData::new(indices, shape), &FlexDevice);
+    let entries = Codebook::<Flex>::new(codebook, &FlexDevice).lookup(indices);
+    let motion = net.forward(&parameters, entries.unsqueeze_dim(0));
+    let [_, frames, columns] = motion.dims();
+    let values = motion.into_data().iter::<f32>().collect();
+    Array2::from_shape_vec((frames, columns), values).unwrap()
+}
+
+/// The dancer's columns of a whole piece by the trainer's networks alone.
+fn decoded_by_networks(weights: &VqVaeWeights, upper: &[u32], lower: &[u32]) -> Array2<f32> {
+    let root = network(&weights.root, &weights.lower.codebook, lower);
+    let mut motion = Array2::zeros((root.nrows(), 73));
+    let (upper_joints, lower_joints) = HALF_JOINTS;
+    for (half, joints, codes) in [
+        (&weights.upper, &upper_joints[..], upper),
+        (&weights.lower, &lower_joints[..], lower),
+    ] {
+        let columns = network(&half.decoder, &half.codebook, codes);
+        for (place, &joint) in joints.iter().enumerate() {
+            for axis in 0..3 {
+                let found = columns.column(3 * place + axis);
+                motion.column_mut(3 * joint + axis).assign(&found);
+            }
+        }
+    }
+    for (column, found) in [0, 1, 2, 72].into_iter().zip(root.columns()) {
+        motion.column_mut(column).assign(&found);
+    }
+    motion
+}
+
+#[test]
+fn a_dance_is_served_in_world_directions() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("model");
+    let weights = turning();
+    write(&weights, MotionFrame::Dancer, &model).unwrap();
+    let dance = dance(&open(&model).unwrap());
+    let (upper, lower) = (&dance.codes.upper, &dance.codes.lower);
+    assert_eq!(dance.motion.dim(), (8 * upper.len(), 72));
+
+    let own = decoded_by_networks(&weights, upper, lower);
+    let turned: f32 = own.column(72).sum();
+    println!("turned by {turned}");
+    assert!(
+        turned.abs() > 3.0,
+        "a dance that does not turn tests nothing"
+    );
+    let world = to_world_frame(own.view()).unwrap();
+    assert_close(&dance.motion, &world, TOLERANCE, "served from chunks");
+
+    let directory = ModelDirectory::open(&model).unwrap();
+    let mut decoder = directory.decoder(1).unwrap();
+    let whole = decoder.decode(upper, lower, &CancelToken::new()).unwrap();
+    assert_close(&whole, &own, common::TOLERANCE, "decoder.onnx");
+    let world = MotionFrame::Dancer.into_world(whole).unwrap();
+    assert_close(&dance.motion, &world, TOLERANCE, "chunks and at once");
+}
+
+#[test]
+fn the_manifest_says_the_frame_only_where_it_is_the_dancers() {
+    let folder = tempfile::tempdir().unwrap();
+    for (weights, frame, line) in [
+        (vqvae(), MotionFrame::World, None),
+        (turning(), MotionFrame::Dancer, Some("dancer")),
+    ] {
+        let model = folder.path().join(format!("{frame:?}"));
+        let written = write(&weights, frame, &model).unwrap();
+        let read = ModelDirectory::open(&model).unwrap();
+        assert_eq!(read.manifest(), &written);
+        assert_eq!(read.manifest().motion_frame, frame);
+        let text = fs::read(model.join("manifest.json")).unwrap();
+        let json: serde_json::Value = serde_json::from_slice(&text).unwrap();
+        let found = json.get("motion_frame").and_then(|value| value.as_str());
+        assert_eq!(found, line);
+    }
+}
+
+/// Manifests from before there was a choice, and their hashes, stay what they are.
+#[test]
+fn the_shipped_manifest_is_unchanged_by_reading_and_writing() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/default/manifest.json");
+    let text = fs::read_to_string(path).unwrap();
+    let manifest: Manifest = serde_json::from_str(&text).unwrap();
+    assert_eq!(manifest.motion_frame, MotionFrame::World);
+    assert_eq!(manifest.decoded_columns(), 72);
+    assert_eq!(
+        serde_json::to_string_pretty(&manifest).unwrap() + "\n",
+        text
+    );
+}
+
+#[test]
+fn a_manifest_with_the_wrong_frame_is_refused_at_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("model");
+    write(&turning(), MotionFrame::Dancer, &model).unwrap();
+    let path = model.join("manifest.json");
+    let honest = fs::read_to_string(&path).unwrap();
+    for (frame, problem) in [
+        ("world", "motion has 73 columns, expected 72"),
+        ("moon", "unknown variant `moon`"),
+    ] {
+        fs::write(&path, honest.replace("\"dancer\"", &format!("\"{frame}\""))).unwrap();
+        let error = open(&model).unwrap_err().to_string();
+        assert!(error.contains(problem), "{error}");
+        assert!(!error.contains('\n'), "{error}");
+    }
+}
+
+#[test]
+fn weights_of_another_frame_are_not_exported() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("model");
+    for (weights, frame, expected) in [
+        (
+            vqvae(),
+            MotionFrame::Dancer,
+            "the root's decoder gives 3 columns, but motion in the dancer's frame has 4",
+        ),
+        (
+            turning(),
+            MotionFrame::World,
+            "the root's decoder gives 4 columns, but motion in the world's frame has 3",
+        ),
+    ] {
+        let error = write(&weights, frame, &model).unwrap_err().to_string();
+        assert!(error.starts_with(expected), "{error}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}
