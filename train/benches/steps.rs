@@ -5,10 +5,12 @@
 
 #![allow(clippy::print_stdout, reason = "a benchmark's figures are its output")]
 
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use anyhow::Context;
-use bailando_train::training::{Config, Limits, MotionPiece, MotionSet, Stage, train};
+use bailando_train::training::{
+    Config, Dances, Limits, MotionPiece, MotionSet, SongRows, Stage, train,
+};
 use ndarray::{Array2, Array3};
 
 const SETTINGS: &str = r#"
@@ -41,7 +43,7 @@ fn main() -> anyhow::Result<()> {
     let folder = tempfile::tempdir()?;
     let mut config = Config::parse(SETTINGS).map_err(anyhow::Error::msg)?;
     config.run.folder = folder.path().to_owned();
-    let set = motion_set();
+    let set = motion_set(&config)?;
     let vqvae = seconds(Stage::VqVae, &config, &set)?;
     // The GPT wants a finished VQ-VAE: its codes, not its quality, are what a step costs.
     config.run.folder = folder.path().join("finished");
@@ -77,7 +79,7 @@ fn seconds(stage: Stage, config: &Config, set: &MotionSet) -> anyhow::Result<f64
 }
 
 /// A minute of swinging joints, and music that follows the same clock.
-fn motion_set() -> MotionSet {
+fn motion_set(config: &Config) -> anyhow::Result<MotionSet> {
     let positions = Array3::from_shape_fn((3_600, 24, 3), |(frame, joint, axis)| {
         let time = frame as f32 / 60.0;
         0.05 * joint as f32 * (time * (2.0 + (joint % 4) as f32) + axis as f32).sin()
@@ -85,7 +87,10 @@ fn motion_set() -> MotionSet {
     let music = Array2::from_shape_fn((451, 438), |(row, column)| {
         (row as f32 / 7.5 + column as f32).cos()
     });
-    MotionSet {
-        pieces: vec![MotionPiece::from_positions(&positions, music, false)],
-    }
+    let piece = MotionPiece::from_positions(positions, config.data.frame)?;
+    let song = SongRows::new(vec![Arc::new(music)]).context("a song")?;
+    Ok(MotionSet {
+        training: Dances::new(vec![piece.with_song(song)]),
+        test: None,
+    })
 }

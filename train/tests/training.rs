@@ -28,7 +28,6 @@ const TOLERANCE: f32 = 1e-4;
 
 fn config(folder: &Path) -> Config {
     let mut config = Config::parse(include_str!("../presets/tiny.toml")).unwrap();
-    config.data.frame = MotionFrame::World;
     config.run.folder = folder.join("run");
     config.export.folder = folder.join("model");
     config
@@ -49,7 +48,7 @@ fn motion_set() -> MotionSet {
             }))
         };
         let song = SongRows::new([0, 1].map(music).into()).unwrap();
-        let piece = MotionPiece::from_positions(positions, MotionFrame::World).unwrap();
+        let piece = MotionPiece::from_positions(positions, MotionFrame::Dancer).unwrap();
         piece.with_song(song)
     };
     MotionSet {
@@ -135,10 +134,11 @@ fn serves_the_same(config: &Config) {
     let velocity: Vec<f32> = velocity.iter::<f32>().collect();
     let mut decoder = directory.decoder(1).unwrap();
     let served = decoder.decode(&upper, &lower, &CancelToken::new()).unwrap();
-    assert_eq!(served.nrows() * 3, velocity.len());
-    for (frame, wanted) in velocity.chunks(3).enumerate() {
-        for axis in 0..3 {
-            assert!((served[[frame, axis]] - wanted[axis]).abs() <= TOLERANCE);
+    assert_eq!(served.nrows() * 4, velocity.len());
+    for (frame, wanted) in velocity.chunks(4).enumerate() {
+        // The turn follows all joints.
+        for (column, wanted) in [0, 1, 2, 72].into_iter().zip(wanted) {
+            assert!((served[[frame, column]] - wanted).abs() <= TOLERANCE);
         }
     }
 

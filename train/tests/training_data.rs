@@ -116,8 +116,10 @@ fn nothing_of_the_test_split_reaches_a_checkpoint() {
     fs::write(folders[1].path("d.wav"), clicks(10.0, 0.0, Some(0.05))).unwrap();
     let outs = [0, 1].map(|_| tempfile::tempdir().unwrap());
     let configs = [0, 1].map(|index| config(folders[index].write(), outs[index].path()));
-    for config in &configs {
-        run(config);
+    for mut config in configs.iter().cloned() {
+        // Which checkpoint was the best is the one thing that tests decide.
+        config.run.test_steps = 0;
+        run(&config);
     }
     for (_, _, stage) in STAGES {
         // The best test loss is among the facts, so the tensors are compared.
