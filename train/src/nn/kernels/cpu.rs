@@ -12,7 +12,7 @@ use super::{Convolution, ConvolutionGradients, Kernels, lowering::Product};
 
 /// Rows of a matrix product that one thread takes at a time: large enough that a product is worth
 /// its preparation, small enough that its operands stay in a core's own cache.
-const GROUP_ROWS: usize = 480;
+const GROUP_ROWS: usize = 240;
 
 impl Kernels for Flex {
     fn convolve(
