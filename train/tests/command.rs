@@ -61,6 +61,9 @@ fn help() {
     let output = train(&["import", "--help"]);
     assert_eq!(output.status.code(), Some(0));
     insta::assert_snapshot!("help_import", stdout(&output));
+    let output = train(&["run", "--help"]);
+    assert_eq!(output.status.code(), Some(0));
+    insta::assert_snapshot!("help_run", stdout(&output));
 }
 
 #[test]

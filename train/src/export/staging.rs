@@ -183,6 +183,18 @@ mod tests {
     }
 
     #[test]
+    fn what_a_killed_write_left_is_in_nobodys_way() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("model");
+        let mut killed = Staging::beside(&target, false).unwrap();
+        killed.write("half", b"ha").unwrap();
+        std::mem::forget(killed);
+        publish(&target, false, "one").unwrap();
+        assert_eq!(names(&target), [MANIFEST]);
+        assert_eq!(names(folder.path()), ["model"]);
+    }
+
+    #[test]
     fn an_abandoned_write_leaves_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("model");

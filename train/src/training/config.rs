@@ -389,6 +389,7 @@ mod tests {
     fn mistakes_are_refused() {
         for text in [
             "[vqvae]\nwidht = 3",
+            "[vqvae]\nuse = \"first\"",
             "[vqvae]\nframes = 60",
             "[data]\nphases = 9",
             "[data]\nframe = \"sideways\"",

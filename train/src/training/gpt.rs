@@ -7,7 +7,6 @@ use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax, ba
 use super::{
     Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
     codes::{Augmentation, Codes},
-    keep::settings,
     runner::{Losses, Plan, Work},
     saved::Saved,
     vqvae::{Trained, test_means},
@@ -183,7 +182,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             name: "gpt",
             run: &config.run,
             training: &stage.training,
-            settings: settings(config, Stage::Gpt)?,
+            settings: set.settings(config, Stage::Gpt)?,
             store,
             windows: windows.len(),
         };

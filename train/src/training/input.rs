@@ -6,8 +6,9 @@ use bailando::motion::{MotionError, MotionFrame, Positions, to_dancer_frame};
 use ndarray::Array2;
 
 use super::{
-    TrainError,
+    Config, Stage, TrainError,
     config::DataConfig,
+    keep::settings,
     song::{Song as Target, training_songs},
     songs::{MusicRows, song_rows},
 };
@@ -165,6 +166,14 @@ impl<S: SplitKind> Dances<S> {
 }
 
 impl Dances<Training> {
+    /// A short text that changes with the amount of data: resuming with other data is refused.
+    fn amount(&self) -> String {
+        let frames: usize = self.pieces.iter().map(MotionPiece::frames).sum();
+        let songs: usize = self.pieces.iter().map(|piece| piece.songs.len()).sum();
+        let dances = self.pieces.len();
+        format!("{dances} dances of {frames} frames with {songs} songs")
+    }
+
     /// What can be drawn of each dance where music does not matter.
     pub(super) fn motion_choices(&self, phases: usize) -> Vec<Choice> {
         let choice = |piece: &MotionPiece| Choice {
@@ -299,5 +308,11 @@ impl MotionSet {
             });
         }
         Ok(set)
+    }
+
+    /// All that the result of a stage depends on.
+    pub(super) fn settings(&self, config: &Config, stage: Stage) -> Result<String, TrainError> {
+        let amount = self.training.amount();
+        Ok(format!("{}{amount}", settings(config, stage)?))
     }
 }

@@ -30,7 +30,7 @@ struct Panel {
 }
 
 /// A stage gets the plots for which it has a column.
-const PLOTS: [Plot; 2] = [
+const PLOTS: [Plot; 3] = [
     Plot {
         file: "loss.svg",
         panels: &[Panel {
@@ -48,6 +48,19 @@ const PLOTS: [Plot; 2] = [
             Panel {
                 title: "restarted entries a step",
                 columns: &["upper_restarts", "lower_restarts"],
+            },
+        ],
+    },
+    Plot {
+        file: "reward.svg",
+        panels: &[
+            Panel {
+                title: "mean reward of a code",
+                columns: &["reward", "beat_reward", "consistency"],
+            },
+            Panel {
+                title: "entropy of the policy",
+                columns: &["entropy"],
             },
         ],
     },

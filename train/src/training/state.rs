@@ -76,7 +76,10 @@ impl<A: Trainable> State<A> {
         saved: &Saved,
         device: &A::Device,
     ) -> Result<(), String> {
-        check_settings(saved.fact(SETTINGS), &plan.settings)?;
+        let settings = saved.fact(SETTINGS);
+        if settings != plan.settings {
+            return Err(other_settings(settings));
+        }
         self.step = parse(saved, STEP)?;
         if !saved.fact(BEST_STEP).is_empty() {
             self.best = Some(Best {
@@ -252,14 +255,9 @@ impl<A: Trainable> State<A> {
     }
 }
 
-/// Whether a checkpoint was made with the settings of now.
-pub(super) fn check_settings(found: &str, wanted: &str) -> Result<(), String> {
-    if found == wanted {
-        return Ok(());
-    }
-    Err(format!(
-        "made with other settings ({found}): use another run.folder, or delete it"
-    ))
+/// Why a checkpoint is refused that was made with `found`.
+pub(super) fn other_settings(found: &str) -> String {
+    format!("made with other settings or data ({found}): use another run.folder, or delete it")
 }
 
 fn parse<T: std::str::FromStr>(saved: &Saved, name: &str) -> Result<T, String> {

@@ -5,7 +5,6 @@ use burn_tensor::{Tensor as Device, TensorData, backend::Backend};
 use super::{
     Config, MotionSet, Stage, TrainError,
     input::MotionPiece,
-    keep::settings,
     runner::{Losses, Plan, Work},
     saved::Saved,
     vqvae::{Halves, Trained, differences, half_crops, test_means},
@@ -58,7 +57,7 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
             name: "velocity",
             run: &config.run,
             training: &stage.training,
-            settings: settings(config, Stage::Velocity)?,
+            settings: set.settings(config, Stage::Velocity)?,
             store,
             windows: windows.len(),
         };

@@ -7,7 +7,7 @@ use burn_tensor::{Tensor as Device, TensorData, backend::Backend};
 use super::{
     Config, MotionSet, Stage, TrainError,
     input::MotionPiece,
-    keep::{read_kept, settings},
+    keep::read_kept,
     runner::{Losses, Plan, WEIGHT, Work},
     saved::Saved,
     windows::{Windows, generator},
@@ -205,7 +205,7 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
             name: "vqvae",
             run: &config.run,
             training: &stage.training,
-            settings: settings(config, Stage::VqVae)?,
+            settings: set.settings(config, Stage::VqVae)?,
             store: halves.store,
             windows: windows.len(),
         };

@@ -3,7 +3,7 @@
 use std::{io::Write, time::Instant};
 
 use super::{
-    Config, Limits, MotionSet, Outcome, Stage, TrainError, export, export::is_exported,
+    Config, Limits, Load, MotionSet, Outcome, Stage, TrainError, export, export::is_exported,
     keep::is_finished, train,
 };
 use crate::export::check_target;
@@ -22,48 +22,51 @@ pub fn run_all(
     seconds: Option<f64>,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
-    let mut set = None;
-    let mut start = Instant::now();
+    let mut known = None;
+    // As for a single stage, reading is not counted: every call gets some steps done.
+    let mut spent = 0.0;
     let wanted = |stage: &Stage| *stage != Stage::ActorCritic || config.actor_critic.enabled;
     for stage in Stage::ALL.into_iter().filter(wanted) {
         if is_finished(config, stage)? {
             tell(output, &format!("{}: finished before", stage.name()));
             continue;
         }
-        let load = stage.load();
-        let set = match &set {
-            Some((loaded, set)) if *loaded == load => set,
-            _ => {
-                check_target(&config.export.folder, replace)?;
-                let reading = Instant::now();
-                let read = MotionSet::read(&config.data, load, output)?;
-                // As for a single stage, reading is not counted: every call gets some steps done.
-                start += reading.elapsed();
-                &set.insert((load, read)).1
-            }
-        };
+        check_target(&config.export.folder, replace)?;
+        let set = read_once(&mut known, stage.load(), config, output)?;
         let limits = Limits {
-            seconds: seconds.map(|most| most - start.elapsed().as_secs_f64()),
+            seconds: seconds.map(|most| most - spent),
             steps: None,
         };
+        let start = Instant::now();
         if train(stage, config, set, None, limits, output)? == Outcome::Paused {
             return Ok(Outcome::Paused);
         }
+        spent += start.elapsed().as_secs_f64();
     }
     let folder = config.export.folder.display();
     if !replace && is_exported(config)? {
-        tell(
-            output,
-            &format!("export: {folder} is made of these stages already"),
-        );
+        let line = format!("export: {folder} is made of these stages already");
+        tell(output, &line);
     } else {
         let manifest = export(config, replace)?;
-        tell(
-            output,
-            &format!("export: wrote {folder} ({})", manifest.name),
-        );
+        let line = format!("export: wrote {folder} ({})", manifest.name);
+        tell(output, &line);
     }
     Ok(Outcome::Finished)
+}
+
+/// The data set for a stage. Stages that take the same share one; without music more dances count.
+fn read_once<'a>(
+    known: &'a mut Option<(Load, MotionSet)>,
+    load: Load,
+    config: &Config,
+    output: &mut impl Write,
+) -> Result<&'a MotionSet, TrainError> {
+    let (_, set) = match known.take() {
+        Some(same) if same.0 == load => known.insert(same),
+        _ => known.insert((load, MotionSet::read(&config.data, load, output)?)),
+    };
+    Ok(set)
 }
 
 /// A line that nobody can read is no reason to stop.
