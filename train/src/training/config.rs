@@ -374,7 +374,7 @@ mod tests {
             include_str!("../../presets/tiny.toml"),
         ];
         let widths = presets.map(|text| Config::parse(text).unwrap().vqvae.width);
-        assert_eq!(widths, [512, 256, 16]);
+        assert_eq!(widths, [512, 192, 16]);
     }
 
     #[test]
