@@ -149,10 +149,7 @@ fn the_command_prints_a_table_and_json() {
     let (code, table, _) = command(&[&common[..], &["--plot", plot.to_str().unwrap()]].concat());
     assert_eq!(code, Some(0));
     let plot = std::fs::read_to_string(plot).unwrap();
-    assert!(
-        plot.starts_with("<svg ") && plot.contains("FID_k"),
-        "{plot}"
-    );
+    assert!(plot.starts_with("<svg ") && plot.contains("jerk"), "{plot}");
     assert!(
         table.starts_with("| metric | reference | generated |\n"),
         "{table}"

@@ -116,8 +116,9 @@ fn the_nearest_code_is_at_the_smallest_mean_distance_of_the_halfs_joints() {
             });
             places.sum::<f64>() / joints.len() as f64
         };
-        for code in 0..CODES {
-            let nearest = &codes[code]["nearest"];
+        assert_eq!(codes.len(), CODES);
+        for (code, entry) in codes.iter().enumerate() {
+            let nearest = &entry["nearest"];
             let found = nearest["distance_m"].as_f64().unwrap();
             let others = (0..CODES).filter(|&other| other != code);
             let best = others
