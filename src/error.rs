@@ -1,8 +1,8 @@
 //! The library's one error type; every module's own error is a case of it.
 
 use crate::{
-    audio::AudioError, engine::EngineError, evaluation::EvaluationError, features::FeatureError,
-    format::FormatError, model::ModelError, motion::MotionError,
+    audio::AudioError, codebook::CodebookError, engine::EngineError, evaluation::EvaluationError,
+    features::FeatureError, format::FormatError, model::ModelError, motion::MotionError,
 };
 
 /// Anything that can go wrong between a song and a dance.
@@ -27,6 +27,9 @@ pub enum Error {
     /// Scheduling: bad options, full queue, cancelled.
     #[error(transparent)]
     Engine(#[from] EngineError),
+    /// A codebook could not be shown.
+    #[error(transparent)]
+    Codebook(#[from] CodebookError),
     /// Sets of dances could not be compared.
     #[error(transparent)]
     Evaluation(#[from] EvaluationError),

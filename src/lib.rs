@@ -3,10 +3,12 @@
 //!
 //! One direction: [`audio`] (bytes to PCM) → [`features`] (PCM to 438 columns) → [`model`] (the
 //! only module that knows ONNX Runtime) → [`motion`] (skeleton, kinematics) → [`mod@format`] (JSON,
-//! BVH). [`engine`] schedules a generation, [`server`] is HTTP only, [`evaluation`] measures dances.
+//! BVH). [`engine`] schedules a generation, [`server`] is HTTP only, [`evaluation`] measures dances,
+//! [`codebook`] shows what a model's codes look like.
 
 pub mod audio;
 pub mod cancel;
+pub mod codebook;
 mod dsp;
 pub mod engine;
 pub mod error;

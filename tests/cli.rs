@@ -58,7 +58,14 @@ fn path(folder: &Path, name: &str) -> (PathBuf, String) {
 #[test]
 fn help_is_the_reference() {
     insta::assert_snapshot!("help", succeed(&["--help"]));
-    for command in ["serve", "generate", "features", "evaluate", "healthcheck"] {
+    for command in [
+        "serve",
+        "generate",
+        "features",
+        "evaluate",
+        "codebook",
+        "healthcheck",
+    ] {
         insta::assert_snapshot!(format!("help_{command}"), succeed(&[command, "--help"]));
     }
 }
@@ -69,7 +76,10 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
     let (_, json) = path(folder.path(), "dance.json");
     let (_, glb) = path(folder.path(), "dance.glb");
     let (_, lost) = path(folder.path(), "no/such/folder/dance.json");
-    let usage: [&[&str]; 8] = [
+    let usage: [&[&str]; 11] = [
+        &["codebook"],
+        &["codebook", "-o", &lost, "--sort", "uses"],
+        &["codebook", "-o", &lost, "--columns", "0"],
         &["generate", SONG, "-o", &lost],
         &["generate", SONG, "-o", &json, "--max-audio-seconds", "nan"],
         &[
@@ -306,4 +316,41 @@ fn the_default_model_repeats_the_independent_codes() {
         let codes: Array2<i64> = ndarray_npy::read_npy(codes_path).expect("npy");
         assert_eq!(codes, expected, "{window}");
     }
+}
+
+#[test]
+fn a_codebook_is_drawn_with_the_uses_of_its_codes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (codes, codes_text) = path(folder.path(), "codes.npy");
+    let (out, out_text) = path(folder.path(), "book");
+    let dance = Array2::from_shape_vec((2, 4), vec![7_i64, 7, 9, 9, 30, 30, 200, 7]);
+    ndarray_npy::write_npy(&codes, &dance.expect("two rows")).expect("written");
+    let arguments = ["codebook", "-o", &out_text, "--sort", "uses"];
+    let arguments = [&arguments[..], &["--pairs", "3", "--codes", &codes_text]].concat();
+    let said = succeed(&arguments);
+    assert!(
+        said.contains("256 upper and 256 lower codes, 2 changes"),
+        "{said}"
+    );
+
+    let read = |name: &str| std::fs::read_to_string(out.join(name)).expect(name);
+    let json: serde_json::Value = serde_json::from_str(&read("codebook.json")).expect("JSON");
+    assert_eq!(json["upper"]["codes"][7]["uses"], 2);
+    assert_eq!(json["lower"]["codes"][200]["uses"], 1);
+    assert_eq!(json["transitions"][0]["from"], serde_json::json!([7, 30]));
+    for name in ["upper.svg", "lower.svg", "pairs.svg"] {
+        let svg = read(name);
+        assert!(
+            svg.starts_with("<svg ") && svg.contains("bailando-bootstrap-salsa"),
+            "{name}"
+        );
+        assert!(read("index.html").contains(&svg), "{name}");
+    }
+    assert!(read("upper.svg").contains("\n7 (2×)\n"));
+
+    let foreign = Array2::from_elem((2, 3), 256_i64);
+    ndarray_npy::write_npy(&codes, &foreign).expect("written");
+    let (code, message) = fail(&arguments);
+    assert_eq!(code, Some(1), "{message}");
+    assert!(message.contains("codes.npy: upper code 256"), "{message}");
 }

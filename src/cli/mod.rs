@@ -1,5 +1,6 @@
 //! The command line: parse, call, print.
 
+mod codebook;
 mod evaluate;
 mod features;
 mod generate;
@@ -37,6 +38,8 @@ enum Command {
     Features(features::FeaturesArgs),
     /// Compare generated dances with recordings: FID, diversity, beat align score and more
     Evaluate(Box<evaluate::EvaluateArgs>),
+    /// Draw what each pose code of a model looks like: a sheet per half body, and numbers
+    Codebook(codebook::CodebookArgs),
     /// Ask a running server whether it is alive; for container probes
     Healthcheck(healthcheck::HealthcheckArgs),
 }
@@ -53,6 +56,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Generate(args) => generate::run(&args),
         Command::Features(args) => features::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Codebook(args) => codebook::run(&args),
         Command::Healthcheck(args) => healthcheck::run(&args),
     };
     match result {

@@ -2,7 +2,7 @@
 
 use std::{fmt, path::Path, sync::Arc};
 
-use ndarray::{Array2, ArrayView, Axis, Dimension, Ix3};
+use ndarray::{Array2, Array3, ArrayView, ArrayView2, Axis, Dimension, Ix3};
 use ort::{
     ep,
     session::{RunOptions, Session, SessionInputValue, SessionOutputs},
@@ -98,6 +98,16 @@ impl Graph {
     }
 }
 
+/// A tensor of 64-bit integers from rows of codes, `[rows, n]`.
+pub(super) fn integer_rows(
+    graph: &'static str,
+    values: ArrayView2<'_, u32>,
+) -> Result<DynValue, ModelError> {
+    let shape = [values.nrows(), values.ncols()];
+    let values: Vec<i64> = values.iter().map(|&value| i64::from(value)).collect();
+    tensor(graph, Tensor::from_array((shape, values)))
+}
+
 /// A tensor of 64-bit integers from codes or positions, `[1, n]`.
 pub(super) fn integers(
     graph: &'static str,
@@ -148,6 +158,17 @@ pub(super) fn take_matrix(
     name: &str,
     rows: usize,
 ) -> Result<Array2<f32>, ModelError> {
+    let array = take_matrices(graph, outputs, name, [1, rows])?;
+    Ok(array.index_axis_move(Axis(0), 0))
+}
+
+/// Takes the named output `[batch, rows, columns]` out of a run.
+pub(super) fn take_matrices(
+    graph: &'static str,
+    outputs: &mut SessionOutputs<'_>,
+    name: &str,
+    expected: [usize; 2],
+) -> Result<Array3<f32>, ModelError> {
     let value = take(graph, outputs, name)?;
     let wrong = |problem: String| ModelError::Run { graph, problem };
     let array = value
@@ -156,12 +177,14 @@ pub(super) fn take_matrix(
     let array = array
         .into_dimensionality::<Ix3>()
         .map_err(|e| wrong(one_line(&e)))?;
-    let (batch, found, _) = array.dim();
-    if batch != 1 || found != rows {
-        let problem = format!("{name} has shape {:?}, expected {rows} rows", array.dim());
+    let (batch, rows, _) = array.dim();
+    if [batch, rows] != expected {
+        let [batch, rows] = expected;
+        let found = array.dim();
+        let problem = format!("{name} has shape {found:?}, expected {batch} times {rows} rows");
         return Err(wrong(problem));
     }
-    Ok(array.index_axis(Axis(0), 0).to_owned())
+    Ok(array.to_owned())
 }
 
 /// ONNX Runtime's reasons run over several lines; ours are one.

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use ndarray::{Array2, ArrayView2, Axis, Slice};
+use ndarray::{Array2, Array3, ArrayView2, Axis, Slice, aview1};
 
 use super::{
     Manifest, ModelError,
-    session::{Graph, floats, integers, one_line, take, take_matrix},
+    session::{Graph, floats, integer_rows, one_line, take, take_matrices},
 };
 use crate::CancelToken;
 
@@ -51,26 +51,42 @@ impl Decoder {
         lower: &[u32],
         cancel: &CancelToken,
     ) -> Result<Array2<f32>, ModelError> {
-        if upper.is_empty() || upper.len() != lower.len() {
+        let [upper, lower] = [upper, lower].map(|codes| aview1(codes).insert_axis(Axis(0)));
+        let motion = self.decode_batch(upper, lower, cancel)?;
+        Ok(motion.index_axis_move(Axis(0), 0))
+    }
+
+    /// Decodes several runs of one length at once, `[runs, codes]` to `[runs, 8 codes, columns]`.
+    ///
+    /// # Errors
+    /// As [`Decoder::decode`].
+    pub fn decode_batch(
+        &mut self,
+        upper: ArrayView2<'_, u32>,
+        lower: ArrayView2<'_, u32>,
+        cancel: &CancelToken,
+    ) -> Result<Array3<f32>, ModelError> {
+        if upper.is_empty() || upper.dim() != lower.dim() {
             return Err(ModelError::Input {
                 what: "pose codes",
                 expected: "as many upper as lower codes, at least one".into(),
                 got: format!("{} upper and {} lower", upper.len(), lower.len()),
             });
         }
-        let frames = upper.len() * self.frames_per_code;
+        let (runs, codes) = upper.dim();
+        let expected = [runs, codes * self.frames_per_code];
         let columns = self.columns;
-        let codes = |codes: &[u32]| integers(DECODER, codes.iter().map(|&code| i64::from(code)));
         let inputs = vec![
-            ("upper".into(), codes(upper)?.into()),
-            ("lower".into(), codes(lower)?.into()),
+            ("upper".into(), integer_rows(DECODER, upper)?.into()),
+            ("lower".into(), integer_rows(DECODER, lower)?.into()),
         ];
         self.graph.run(inputs, cancel, |outputs| {
-            let motion = take_matrix(DECODER, outputs, "motion", frames)?;
-            if motion.ncols() != columns {
+            let motion = take_matrices(DECODER, outputs, "motion", expected)?;
+            let (.., found) = motion.dim();
+            if found != columns {
                 return Err(ModelError::Run {
                     graph: DECODER,
-                    problem: format!("motion has {} columns, expected {columns}", motion.ncols()),
+                    problem: format!("motion has {found} columns, expected {columns}"),
                 });
             }
             Ok(motion)

@@ -22,7 +22,8 @@ pub const fn facing_columns(joints: usize) -> usize {
 
 /// Where each pose faces: the angle about +y, in radians, that turns +z there; without jumps.
 ///
-/// A pose that tells no direction keeps that of the frame before.
+/// A pose that tells no direction keeps that of the frame before; joints that are not there tell
+/// none.
 #[must_use]
 pub fn facings(positions: &Positions) -> Vec<f32> {
     let mut facing = 0.0_f32;
@@ -30,9 +31,8 @@ pub fn facings(positions: &Positions) -> Vec<f32> {
     let angles = frames.map(|pose| {
         let difference = |axis: usize| -> f32 {
             let pairs = ACROSS.iter();
-            pairs
-                .map(|&(left, right)| pose[[left, axis]] - pose[[right, axis]])
-                .sum()
+            let at = |joint| pose.get([joint, axis]).copied().unwrap_or(0.0);
+            pairs.map(|&(left, right)| at(left) - at(right)).sum()
         };
         let (x, z) = (difference(0), difference(2));
         if x.hypot(z) >= SHORTEST {

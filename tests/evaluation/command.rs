@@ -130,6 +130,10 @@ fn the_command_prints_a_table_and_json() {
             "div_g",
             "beat_align",
             "beat_align_dance",
+            "beat_chance",
+            "beat_margin",
+            "jerk",
+            "foot_skate",
         ] {
             assert!(row[key].is_f64(), "{key}: {row}");
         }
@@ -141,8 +145,11 @@ fn the_command_prints_a_table_and_json() {
     );
     assert!(report["fid_k"].as_f64().unwrap() > 0.1);
     assert!(report["reference"]["fid_k"].as_f64().unwrap().abs() < 1e-3);
-    let (code, table, _) = command(&common);
+    let plot = folder.path().join("plot.svg");
+    let (code, table, _) = command(&[&common[..], &["--plot", plot.to_str().unwrap()]].concat());
     assert_eq!(code, Some(0));
+    let plot = std::fs::read_to_string(plot).unwrap();
+    assert!(plot.starts_with("<svg ") && plot.contains("jerk"), "{plot}");
     assert!(
         table.starts_with("| metric | reference | generated |\n"),
         "{table}"

@@ -14,6 +14,7 @@ use std::{fs, path::Path, sync::Arc};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
+    codebook::{Catalogue, Half, Order},
     engine::{Choreographer, EngineConfig, GenerationOptions, RawDance},
     model::{Manifest, ModelDirectory},
     motion::{MotionFrame, to_world_frame},
@@ -222,5 +223,28 @@ fn weights_of_another_frame_are_not_exported() {
         let error = write(&weights, frame, &model).unwrap_err().to_string();
         assert!(error.starts_with(expected), "{error}");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+}
+
+/// Poses are those that are decoded, not yet turned; a code faces no way, so it has no dial.
+#[test]
+fn its_codebook_shows_poses_that_face_the_front() {
+    let folder = tempfile::tempdir().unwrap();
+    let (world, dancer) = (folder.path().join("world"), folder.path().join("dancer"));
+    write(&vqvae(), MotionFrame::World, &world).unwrap();
+    write(&turning(), MotionFrame::Dancer, &dancer).unwrap();
+    let [world, dancer] = [world, dancer].map(|model| {
+        let directory = ModelDirectory::open(&model).unwrap();
+        Catalogue::new(&directory, 1, None, 3).unwrap()
+    });
+    for half in [Half::Upper, Half::Lower] {
+        for (plain, turning) in world.half(half).codes.iter().zip(&dancer.half(half).codes) {
+            assert_eq!(plain.pose, turning.pose);
+        }
+        let circles = |catalogue: &Catalogue| {
+            let svg = catalogue.sheet(half, 4, Order::Number).unwrap();
+            svg.matches("<circle ").count()
+        };
+        assert_eq!(circles(&world), 2 * circles(&dancer));
     }
 }

@@ -2,6 +2,7 @@
 
 #![allow(
     clippy::unwrap_used,
+    clippy::print_stdout,
     reason = "helpers of tests: failing loudly is their job"
 )]
 
@@ -38,4 +39,38 @@ fn the_default_model_is_whole() {
         card.contains("mocap.cs.cmu.edu"),
         "the data's owner is not acknowledged"
     );
+}
+
+/// ARCHITECTURE section 7: one code repeated decodes to a still pose. That is why one frame can stand
+/// for a code in `bailando codebook`.
+#[test]
+fn a_repeated_code_stands_still_and_another_one_moves() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/default");
+    let directory = ModelDirectory::open(&folder).unwrap();
+    let mut decoder = directory.decoder(1).unwrap();
+    let mut moved = |codes: &[u32]| {
+        let motion = decoder.decode(codes, codes, &CancelToken::new()).unwrap();
+        // Metres from the first to the last frame of the two codes in the middle, mean of all joints.
+        let (first, last) = (motion.row(40), motion.row(55));
+        let places = (1..24).map(|joint| {
+            let axes =
+                (3 * joint..3 * joint + 3).map(|column| (first[column] - last[column]).powi(2));
+            axes.sum::<f32>().sqrt()
+        });
+        places.sum::<f32>() / 23.0
+    };
+    let (mut still, mut changing) = (Vec::new(), Vec::new());
+    for code in (0..256).step_by(8) {
+        let other = (code + 101) % 256;
+        still.push(moved(&[code; 12]));
+        changing.push(moved(&[[code; 6], [other; 6]].concat()));
+    }
+    let median = |mut values: Vec<f32>| {
+        values.sort_by(f32::total_cmp);
+        values[values.len() / 2]
+    };
+    let (still, changing) = (median(still), median(changing));
+    println!("{still} m, {changing} m");
+    assert!(still < 0.02, "a repeated code moves by {still} m");
+    assert!(changing > 0.1, "a change of codes moves by {changing} m");
 }

@@ -1,0 +1,123 @@
+//! `bailando codebook`: what each code of a model looks like.
+
+use std::{
+    fs,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Context;
+use bailando::{
+    Error,
+    codebook::{Catalogue, Half, Order, Uses},
+    format::Codes,
+    model::ModelDirectory,
+};
+use clap::ValueEnum;
+use ndarray::ArrayView2;
+use ndarray_npy::ViewNpyExt;
+
+use super::say;
+
+/// Draw what each pose code of a model looks like
+#[derive(Debug, clap::Args)]
+pub(super) struct CodebookArgs {
+    /// Model directory
+    #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
+    model_dir: PathBuf,
+    /// Folder for upper.svg, lower.svg, pairs.svg, codebook.json and index.html
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Figures in a row
+    #[arg(long, default_value = "12", value_name = "N")]
+    columns: NonZeroUsize,
+    /// Changes from one pair of codes to another to draw: the most frequent in --codes, else those
+    /// between the model's start codes, else between evenly drawn codes
+    #[arg(long, default_value_t = 12, value_name = "N")]
+    pairs: usize,
+    /// Codes of dances, int64 [2, codes], as `bailando generate --codes-out` writes them: counts
+    /// their uses
+    #[arg(long, num_args = 1.., value_name = "C.npy")]
+    codes: Vec<PathBuf>,
+    /// Which codes come first: the lowest numbers, or the most used in --codes
+    #[arg(
+        long,
+        value_enum,
+        default_value = "number",
+        requires_if("uses", "codes")
+    )]
+    sort: SortArg,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum SortArg {
+    Number,
+    Uses,
+}
+
+pub(super) fn run(args: &CodebookArgs) -> anyhow::Result<()> {
+    let directory = ModelDirectory::open(&args.model_dir).map_err(Error::from)?;
+    let uses = args.uses(&directory)?;
+    let threads = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
+    let catalogue = Catalogue::new(&directory, threads, uses.as_ref(), args.pairs)?;
+    let columns = u32::try_from(args.columns.get()).unwrap_or(u32::MAX);
+    let order = match args.sort {
+        SortArg::Number => Order::Number,
+        SortArg::Uses => Order::Uses,
+    };
+    let json = serde_json::to_string(&catalogue)?;
+    let mut files = vec![
+        ("upper.svg", catalogue.sheet(Half::Upper, columns, order)?),
+        ("lower.svg", catalogue.sheet(Half::Lower, columns, order)?),
+        ("codebook.json", json),
+        ("index.html", catalogue.page(columns, order)?),
+    ];
+    if !catalogue.transitions.is_empty() {
+        files.push(("pairs.svg", catalogue.transitions_sheet()?));
+    }
+    let folder = &args.output;
+    fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    for (name, text) in files {
+        let path = folder.join(name);
+        fs::write(&path, text).with_context(|| path.display().to_string())?;
+    }
+    say(&format!(
+        "{}: {} upper and {} lower codes, {} changes",
+        folder.join("index.html").display(),
+        catalogue.upper.codes.len(),
+        catalogue.lower.codes.len(),
+        catalogue.transitions.len()
+    ));
+    Ok(())
+}
+
+impl CodebookArgs {
+    fn uses(&self, directory: &ModelDirectory) -> anyhow::Result<Option<Uses>> {
+        if self.codes.is_empty() {
+            return Ok(None);
+        }
+        let mut uses = Uses::new(directory.manifest().vocabulary);
+        for path in &self.codes {
+            let name = || path.display().to_string();
+            uses.add(&read_codes(path)?).with_context(name)?;
+        }
+        Ok(Some(uses))
+    }
+}
+
+/// Reads codes through a memory-sized view of the file: the reader of whole arrays allocates what
+/// the header declares, true or not.
+fn read_codes(path: &Path) -> anyhow::Result<Codes> {
+    let name = || format!("{}: not int64 codes, upper and lower", path.display());
+    let bytes = fs::read(path).with_context(|| path.display().to_string())?;
+    let rows = ArrayView2::<i64>::view_npy(&bytes).with_context(name)?;
+    anyhow::ensure!(rows.nrows() == 2, name());
+    let row = |row: usize| -> anyhow::Result<Vec<u32>> {
+        let codes = rows.row(row).into_iter();
+        codes.map(|&code| Ok(u32::try_from(code)?)).collect()
+    };
+    Ok(Codes {
+        upper: row(0).with_context(name)?,
+        lower: row(1).with_context(name)?,
+    })
+}
