@@ -1,8 +1,9 @@
 //! The critic (ARCHITECTURE section 3, paper `f_v`): how much reward is still to come in a state.
 
-use burn_tensor::{Tensor as Device, backend::Backend};
+use burn_tensor::Tensor as Device;
 
 use super::{
+    kernels::Kernels,
     parameters::{Parameters, Slot, Store},
     transformer::{Attention, BlockNet, NormNet, STREAMS, multiplied},
 };
@@ -53,7 +54,7 @@ impl CriticNet {
     }
 
     /// Values of `[batch, 3 * steps, channels]` states, `[batch, steps]`: upper value + lower value.
-    pub fn forward<B: Backend>(
+    pub fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         states: Device<B, 3>,

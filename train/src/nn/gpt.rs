@@ -3,6 +3,7 @@
 use burn_tensor::{Int, Tensor as Device, backend::Backend};
 
 use super::{
+    kernels::Kernels,
     parameters::{Parameters, Slot, Store},
     transformer::{Attention, BlockNet, LinearNet, NormNet, STREAMS, drop, multiplied},
 };
@@ -83,7 +84,7 @@ impl GptNet {
 
     /// Scores of the next codes after each of at most `block` steps. Music is `[batch, steps,
     /// columns]`, codes `[batch, steps]`; `dropout` is the share of activations set to zero.
-    pub fn forward<B: Backend>(
+    pub fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         music: Device<B, 3>,
@@ -97,7 +98,7 @@ impl GptNet {
 
     /// What the state network makes of music and codes, `[batch, 3 * steps, channels]`: its blocks
     /// are the first `layers`.
-    pub fn states<B: Backend>(
+    pub fn states<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         music: Device<B, 3>,
@@ -127,7 +128,7 @@ impl GptNet {
     }
 
     /// What the policy makes of such states: it has the blocks from `layers` on.
-    pub fn policy<B: Backend>(
+    pub fn policy<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         states: Device<B, 3>,
@@ -153,7 +154,7 @@ impl GptNet {
     }
 
     /// The first `steps` positions of each stream, `[1, 3 * steps, channels]`.
-    fn position_rows<B: Backend>(&self, parameters: &Parameters<B>, steps: usize) -> Device<B, 3> {
+    fn position_rows<B: Kernels>(&self, parameters: &Parameters<B>, steps: usize) -> Device<B, 3> {
         let table = parameters.matrix(self.positions);
         let parts = (0..STREAMS).map(|stream| table.clone().narrow(0, stream * self.block, steps));
         Device::cat(parts.collect(), 0).unsqueeze_dim(0)

@@ -19,7 +19,10 @@ pub use codebook::{Codebook, MovingAverage};
 pub use critic::CriticNet;
 pub use gpt::{GptNet, Logits};
 pub use initial::{GptSizes, VqVaeSizes, random_critic, random_gpt, random_vqvae};
-pub use kernels::{Convolution, ConvolutionGradients, Kernels, Kind, Trainable};
+pub use kernels::{
+    AttentionGradients, Convolution, ConvolutionGradients, Heads, Kernels, Kind, NormGradients,
+    Queries, Trainable,
+};
 pub(crate) use parameters::values;
 pub use parameters::{Parameters, Store};
 pub use vqvae::{DecoderNet, EncoderNet, HalfNet};

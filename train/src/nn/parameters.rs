@@ -115,13 +115,6 @@ impl<B: Backend> Parameters<B> {
         tensor.reshape([rows, columns])
     }
 
-    /// A tensor of one dimension as a row, to be added to every row of a matrix.
-    pub(super) fn row(&self, slot: Slot) -> Device<B, 2> {
-        let tensor = self.tensors[slot.0].clone();
-        let length = tensor.dims()[0];
-        tensor.reshape([1, length])
-    }
-
     /// The same values, recording what is computed with them.
     #[must_use]
     pub fn tracked<A: AutodiffBackend<InnerBackend = B, Device = B::Device>>(

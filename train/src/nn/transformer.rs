@@ -1,33 +1,31 @@
 //! Blocks of the motion GPT: attention across the three streams, perceptron, normalisation
 //! (ARCHITECTURE section 3).
 
-use burn_tensor::{
-    Bool, Distribution, Tensor as Device, TensorData,
-    activation::{gelu, softmax},
-    backend::Backend,
-};
+use burn_tensor::{Bool, Tensor as Device, TensorData, backend::Backend};
 
-use super::parameters::{Parameters, Slot, Store};
+use super::{
+    kernels::{Convolution, Heads, Kernels, Kind, Queries},
+    parameters::{Parameters, Slot, Store},
+};
 use crate::weights::{Block, LayerNorm, Linear};
 
 /// Music, upper and lower tokens lie behind one another.
 pub(super) const STREAMS: usize = 3;
-const NORM_EPSILON: f64 = 1e-5;
 
-/// True where attention is forbidden, `[1, 1, 3 * steps, 3 * steps]`: position `i` of any stream
+/// True where attention is forbidden, `[3 * steps, 3 * steps]`: position `i` of any stream
 /// sees positions up to `i` of all three.
-fn cross_conditional_mask<B: Backend>(steps: usize, device: &B::Device) -> Device<B, 4, Bool> {
+fn cross_conditional_mask<B: Backend>(steps: usize, device: &B::Device) -> Device<B, 2, Bool> {
     let length = STREAMS * steps;
     let forbidden: Vec<bool> = (0..length * length)
         .map(|flat| (flat % length) % steps > (flat / length) % steps)
         .collect();
-    Device::from_data(TensorData::new(forbidden, [1, 1, length, length]), device)
+    Device::from_data(TensorData::new(forbidden, [length, length]), device)
 }
 
 /// What all blocks of a pass share.
 pub(super) struct Attention<B: Backend> {
     heads: usize,
-    mask: Device<B, 4, Bool>,
+    mask: Device<B, 2, Bool>,
     dropout: f64,
 }
 
@@ -90,7 +88,7 @@ impl BlockNet {
         }
     }
 
-    pub(super) fn forward<B: Backend>(
+    pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         input: Device<B, 3>,
@@ -100,30 +98,32 @@ impl BlockNet {
         let attended = self.attend(parameters, normed, context);
         let hidden = input + drop(attended, context.dropout);
         let normed = self.mlp_norm.forward(parameters, hidden.clone());
-        let wide = gelu(self.mlp_in.forward(parameters, normed));
+        let wide = B::activate(self.mlp_in.forward(parameters, normed));
         hidden + drop(self.mlp_out.forward(parameters, wide), context.dropout)
     }
 
-    fn attend<B: Backend>(
+    fn attend<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         input: Device<B, 3>,
         context: &Attention<B>,
     ) -> Device<B, 3> {
-        let [batch, length, channels] = input.dims();
-        let heads = context.heads;
-        let size = channels / heads;
-        let split = |linear: &LinearNet| {
-            let all = linear.forward(parameters, input.clone());
-            all.reshape([batch, length, heads, size]).swap_dims(1, 2)
+        let part = |linear: &LinearNet| linear.forward(parameters, input.clone());
+        let queries = Queries {
+            query: part(&self.query),
+            key: part(&self.key),
+            value: part(&self.value),
         };
-        let query = split(&self.query).mul_scalar(1.0 / (size as f64).sqrt());
-        let scores = query.matmul(split(&self.key).swap_dims(2, 3));
-        let mask = context.mask.clone().expand([batch, heads, length, length]);
-        let shares = softmax(scores.mask_fill(mask, f32::NEG_INFINITY), 3);
-        let mixed = drop(shares, context.dropout).matmul(split(&self.value));
-        let joined = mixed.swap_dims(1, 2).reshape([batch, length, channels]);
-        self.projection.forward(parameters, joined)
+        let [batch, length, _] = input.dims();
+        let kept = (context.dropout > 0.0).then(|| {
+            let like = Device::empty([batch, context.heads, length, length], &input.device());
+            B::kept(&like, context.dropout)
+        });
+        let heads = Heads {
+            count: context.heads,
+        };
+        let mixed = B::attend(heads, queries, context.mask.clone(), kept);
+        self.projection.forward(parameters, mixed)
     }
 }
 
@@ -132,6 +132,8 @@ pub(super) struct LinearNet {
     /// `[in, out]`.
     weight: Slot,
     bias: Slot,
+    inputs: usize,
+    outputs: usize,
 }
 
 impl LinearNet {
@@ -139,6 +141,8 @@ impl LinearNet {
         Self {
             weight: store.push(format!("{name}.weight"), weights.weight.transposed()),
             bias: store.push(format!("{name}.bias"), weights.bias.clone()),
+            inputs: weights.weight.dim(1),
+            outputs: weights.weight.dim(0),
         }
     }
 
@@ -149,13 +153,19 @@ impl LinearNet {
         }
     }
 
-    pub(super) fn forward<B: Backend>(
+    pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         input: Device<B, 3>,
     ) -> Device<B, 3> {
-        let product = multiplied(input, parameters.matrix(self.weight));
-        product + parameters.row(self.bias).unsqueeze_dim(0)
+        let plan = Convolution {
+            kind: Kind::Pointwise,
+            rectified: false,
+            inputs: self.inputs,
+            outputs: self.outputs,
+        };
+        let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
+        B::convolve(plan, input, weight, bias)
     }
 }
 
@@ -180,17 +190,13 @@ impl NormNet {
         }
     }
 
-    pub(super) fn forward<B: Backend>(
+    pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         input: Device<B, 3>,
     ) -> Device<B, 3> {
-        let mean = input.clone().mean_dim(2);
-        let centred = input - mean;
-        let variance = centred.clone().square().mean_dim(2);
-        let scaled = centred / variance.add_scalar(NORM_EPSILON).sqrt();
-        let row = |slot| parameters.row(slot).unsqueeze_dim(0);
-        scaled * row(self.weight) + row(self.bias)
+        let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
+        B::normalise(input, weight, bias)
     }
 }
 
@@ -203,10 +209,10 @@ pub(super) fn multiplied<B: Backend>(input: Device<B, 3>, matrix: Device<B, 2>) 
 }
 
 /// Sets a share of the values to zero and scales the others up.
-pub(super) fn drop<B: Backend, const D: usize>(input: Device<B, D>, share: f64) -> Device<B, D> {
+pub(super) fn drop<B: Kernels, const D: usize>(input: Device<B, D>, share: f64) -> Device<B, D> {
     if share <= 0.0 {
         return input;
     }
-    let keep = input.random_like(Distribution::Bernoulli(1.0 - share));
-    input * keep.mul_scalar(1.0 / (1.0 - share))
+    let kept = B::kept(&input, share);
+    input * kept
 }

@@ -16,7 +16,7 @@ use crate::{
     Tensor,
     checkpoint::Checkpoint,
     data::{CropPlan, Draw, Training, rows_beside},
-    nn::{GptNet, GptSizes, Parameters, Store, Trainable, random_gpt},
+    nn::{GptNet, GptSizes, Kernels, Parameters, Store, Trainable, random_gpt},
     weights::{GptWeights, Linear},
 };
 
@@ -244,7 +244,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
     }
 
     /// Loss, cross-entropy of the upper and of the lower codes that come next.
-    fn losses<B: Backend<Device = A::Device>>(
+    fn losses<B: Kernels<Device = A::Device>>(
         &self,
         parameters: &Parameters<B>,
         (pieces, codes): (&[MotionPiece], &Codes),

@@ -1,7 +1,6 @@
 //! What an epoch of `actor-critic` learns from: pieces by the policy as it was at the epoch's
 //! start, and their rewards (ARCHITECTURE section 6).
 
-use burn_tensor::backend::Backend;
 use ndarray::{ArrayView2, Axis, Slice};
 use rand_chacha::rand_core::Rng;
 
@@ -115,7 +114,7 @@ impl Repertoire {
     }
 
     /// Generates and judges the pieces of an epoch, `batch` at a time; a start is one of `starts`.
-    pub(super) fn roll_out<B: Backend>(
+    pub(super) fn roll_out<B: Kernels>(
         &self,
         epoch: u64,
         sampler: &Sampler<'_, B>,

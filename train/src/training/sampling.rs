@@ -1,10 +1,10 @@
 //! Codes of whole pieces from the policy as it stands, many pieces side by side.
 
-use burn_tensor::{Int, Tensor as Device, TensorData, backend::Backend};
+use burn_tensor::{Int, Tensor as Device, TensorData};
 use ndarray::ArrayView2;
 use rand_chacha::{ChaCha8Rng, rand_core::Rng};
 
-use crate::nn::{GptNet, Parameters, values};
+use crate::nn::{GptNet, Kernels, Parameters, values};
 
 /// A piece to be generated.
 pub(super) struct Wish<'a> {
@@ -17,14 +17,14 @@ pub(super) struct Wish<'a> {
 }
 
 /// How codes are drawn.
-pub(super) struct Sampler<'a, B: Backend> {
+pub(super) struct Sampler<'a, B: Kernels> {
     pub(super) net: &'a GptNet,
     pub(super) parameters: &'a Parameters<B>,
     /// 0 takes the most likely code, as published.
     pub(super) temperature: f64,
 }
 
-impl<B: Backend> Sampler<'_, B> {
+impl<B: Kernels> Sampler<'_, B> {
     /// The codes of each piece. Histories slide as in ARCHITECTURE section 3 with `s = 28`: every
     /// step sees the last 28 codes re-indexed from position 0, so all is computed anew each step
     /// and nothing can be cached; pieces side by side keep the device busy instead.
@@ -88,7 +88,7 @@ pub(super) struct Window<'a> {
 }
 
 /// Music and codes of windows of `steps` codes, as the network takes them.
-pub(super) fn inputs<B: Backend>(
+pub(super) fn inputs<B: Kernels>(
     windows: &[Window<'_>],
     steps: usize,
     device: &B::Device,

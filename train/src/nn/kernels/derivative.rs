@@ -6,9 +6,9 @@ use burn_autodiff::{
     grads::Gradients,
     ops::{Backward, Ops, OpsKind},
 };
-use burn_tensor::{Tensor as Device, TensorPrimitive, backend::Backend};
+use burn_tensor::{Bool, Tensor as Device, TensorPrimitive, backend::Backend};
 
-use super::{Convolution, Kernels};
+use super::{Convolution, Heads, Kernels, Queries};
 
 impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
     fn convolve(
@@ -43,6 +43,173 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
             OpsKind::UnTracked(ready) => ready.finish(output),
         };
         Device::from_primitive(TensorPrimitive::Float(tracked))
+    }
+
+    fn activate(input: Device<Self, 3>) -> Device<Self, 3> {
+        let input = input.into_primitive().tensor();
+        let output = B::activate(wrap(input.primitive.clone()));
+        let output = output.into_primitive().tensor();
+        let ready = Activate
+            .prepare::<C>([input.node])
+            .compute_bound()
+            .stateful();
+        let tracked = match ready {
+            OpsKind::Tracked(ready) => ready.finish(input.primitive, output),
+            OpsKind::UnTracked(ready) => ready.finish(output),
+        };
+        Device::from_primitive(TensorPrimitive::Float(tracked))
+    }
+
+    fn normalise(
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        bias: Device<Self, 1>,
+    ) -> Device<Self, 3> {
+        let [input, weight, bias] = [
+            input.into_primitive().tensor(),
+            weight.into_primitive().tensor(),
+            bias.into_primitive().tensor(),
+        ];
+        let output = B::normalise(
+            wrap(input.primitive.clone()),
+            wrap(weight.primitive.clone()),
+            wrap(bias.primitive),
+        );
+        let output = output.into_primitive().tensor();
+        let nodes = [input.node, weight.node, bias.node];
+        let ready = Normalise.prepare::<C>(nodes).compute_bound().stateful();
+        let tracked = match ready {
+            OpsKind::Tracked(ready) => ready.finish((input.primitive, weight.primitive), output),
+            OpsKind::UnTracked(ready) => ready.finish(output),
+        };
+        Device::from_primitive(TensorPrimitive::Float(tracked))
+    }
+
+    fn attend(
+        heads: Heads,
+        queries: Queries<Self>,
+        forbidden: Device<Self, 2, Bool>,
+        kept: Option<Device<Self, 4>>,
+    ) -> Device<Self, 3> {
+        let parts = [queries.query, queries.key, queries.value];
+        let parts = parts.map(|part| part.into_primitive().tensor());
+        let state = Attended {
+            heads,
+            parts: parts.each_ref().map(|part| part.primitive.clone()),
+            forbidden: forbidden.into_primitive(),
+            kept: kept.map(|kept| kept.into_primitive().tensor().primitive),
+        };
+        let output = state.clone().forward::<B>().into_primitive().tensor();
+        let nodes = parts.map(|part| part.node);
+        let ready = Attend.prepare::<C>(nodes).compute_bound().stateful();
+        let tracked = match ready {
+            OpsKind::Tracked(ready) => ready.finish(state, output),
+            OpsKind::UnTracked(ready) => ready.finish(output),
+        };
+        Device::from_primitive(TensorPrimitive::Float(tracked))
+    }
+
+    fn kept<const D: usize>(like: &Device<Self, D>, share: f64) -> Device<Self, D> {
+        Device::from_inner(B::kept(&like.clone().inner(), share))
+    }
+}
+
+#[derive(Debug)]
+struct Activate;
+
+impl<B: Kernels> Backward<B, 1> for Activate {
+    type State = B::FloatTensorPrimitive;
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, 1>,
+        gradients: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let outer = gradients.consume::<B>(&ops.node);
+        let found = B::activate_backward(wrap(ops.state), wrap(outer));
+        let [input] = ops.parents.map(|parent| parent.map(|node| node.id));
+        register::<B, 3>(gradients, input, found);
+    }
+}
+
+#[derive(Debug)]
+struct Normalise;
+
+impl<B: Kernels> Backward<B, 3> for Normalise {
+    type State = (B::FloatTensorPrimitive, B::FloatTensorPrimitive);
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, 3>,
+        gradients: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let outer = gradients.consume::<B>(&ops.node);
+        let (input, weight) = ops.state;
+        let found = B::normalise_backward(wrap(input), wrap(weight), wrap(outer));
+        let [input, weight, bias] = ops.parents.map(|parent| parent.map(|node| node.id));
+        register::<B, 3>(gradients, input, found.input);
+        register::<B, 1>(gradients, weight, found.weight);
+        register::<B, 1>(gradients, bias, found.bias);
+    }
+}
+
+#[derive(Debug)]
+struct Attend;
+
+/// What the derivative of attention needs.
+#[derive(Clone, Debug)]
+struct Attended<T, M> {
+    heads: Heads,
+    parts: [T; 3],
+    forbidden: M,
+    kept: Option<T>,
+}
+
+type AttendedOn<B> = Attended<
+    <B as burn_backend::backend::BackendTypes>::FloatTensorPrimitive,
+    <B as burn_backend::backend::BackendTypes>::BoolTensorPrimitive,
+>;
+
+impl<T, M> Attended<T, M> {
+    fn unwrapped<B>(self) -> (Queries<B>, Device<B, 2, Bool>, Option<Device<B, 4>>)
+    where
+        B: Kernels<FloatTensorPrimitive = T, BoolTensorPrimitive = M>,
+    {
+        let [query, key, value] = self.parts.map(|part| wrap(part));
+        let queries = Queries { query, key, value };
+        let forbidden = Device::from_primitive(self.forbidden);
+        (queries, forbidden, self.kept.map(|kept| wrap(kept)))
+    }
+
+    fn forward<B>(self) -> Device<B, 3>
+    where
+        B: Kernels<FloatTensorPrimitive = T, BoolTensorPrimitive = M>,
+    {
+        let heads = self.heads;
+        let (queries, forbidden, kept) = self.unwrapped();
+        B::attend(heads, queries, forbidden, kept)
+    }
+}
+
+impl<B: Kernels> Backward<B, 3> for Attend {
+    type State = AttendedOn<B>;
+
+    fn backward(
+        self,
+        ops: Ops<Self::State, 3>,
+        gradients: &mut Gradients,
+        _checkpointer: &mut Checkpointer,
+    ) {
+        let outer = gradients.consume::<B>(&ops.node);
+        let heads = ops.state.heads;
+        let (queries, forbidden, kept) = ops.state.unwrapped();
+        let found = B::attend_backward(heads, queries, forbidden, kept, wrap(outer));
+        let [query, key, value] = ops.parents.map(|parent| parent.map(|node| node.id));
+        register::<B, 3>(gradients, query, found.query);
+        register::<B, 3>(gradients, key, found.key);
+        register::<B, 3>(gradients, value, found.value);
     }
 }
 

@@ -7,13 +7,18 @@ mod cpu;
 mod derivative;
 mod lowering;
 mod plain;
+#[cfg(test)]
+mod tests;
 
 pub use lowering::{Convolution, Kind};
 
 use burn_tensor::{
-    Tensor as Device,
+    Bool, Tensor as Device,
     backend::{AutodiffBackend, Backend},
 };
+
+/// What keeps a normalisation from dividing by zero.
+const NORM_EPSILON: f64 = 1e-5;
 
 /// A backend with the operations of this module.
 pub trait Kernels: Backend {
@@ -37,6 +42,95 @@ pub trait Kernels: Backend {
     ) -> ConvolutionGradients<Self> {
         plain::convolve_backward(plan, input, weight, outer)
     }
+
+    /// GELU: `x` times the share of a normal distribution below it.
+    fn activate(input: Device<Self, 3>) -> Device<Self, 3> {
+        burn_tensor::activation::gelu(input)
+    }
+
+    /// The derivative of [`Kernels::activate`].
+    fn activate_backward(input: Device<Self, 3>, outer: Device<Self, 3>) -> Device<Self, 3> {
+        plain::gelu_backward(input, outer)
+    }
+
+    /// Each row of `input` `[batch, length, channels]` to mean 0 and spread 1, then times `weight`
+    /// plus `bias` `[channels]`.
+    fn normalise(
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        bias: Device<Self, 1>,
+    ) -> Device<Self, 3> {
+        plain::normalise(input, weight, bias)
+    }
+
+    /// The derivative of [`Kernels::normalise`].
+    fn normalise_backward(
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        outer: Device<Self, 3>,
+    ) -> NormGradients<Self> {
+        plain::normalise_backward(input, weight, outer)
+    }
+
+    /// Attention of every head, `[batch, length, channels]`. `forbidden` `[length, length]` is true
+    /// where a query must not see a key; `kept` `[batch, heads, length, length]` are factors of the
+    /// shares where some are dropped.
+    fn attend(
+        heads: Heads,
+        queries: Queries<Self>,
+        forbidden: Device<Self, 2, Bool>,
+        kept: Option<Device<Self, 4>>,
+    ) -> Device<Self, 3> {
+        plain::attend(heads, queries, forbidden, kept)
+    }
+
+    /// The derivative of [`Kernels::attend`].
+    fn attend_backward(
+        heads: Heads,
+        queries: Queries<Self>,
+        forbidden: Device<Self, 2, Bool>,
+        kept: Option<Device<Self, 4>>,
+        outer: Device<Self, 3>,
+    ) -> AttentionGradients<Self> {
+        plain::attend_backward(heads, queries, forbidden, kept, outer)
+    }
+
+    /// Random factors in the shape of `like`: 0 for that share of the values, else what keeps the
+    /// mean.
+    fn kept<const D: usize>(like: &Device<Self, D>, share: f64) -> Device<Self, D> {
+        plain::kept(like, share)
+    }
+}
+
+/// Attention heads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heads {
+    /// How many share the channels.
+    pub count: usize,
+}
+
+/// What attention is computed from, `[batch, length, channels]` each, the heads' channels one after
+/// the other.
+#[derive(Clone, Debug)]
+#[expect(missing_docs, reason = "the names are the usual ones")]
+pub struct Queries<B: Backend> {
+    pub query: Device<B, 3>,
+    pub key: Device<B, 3>,
+    pub value: Device<B, 3>,
+}
+
+/// Derivatives by what went into attention.
+pub type AttentionGradients<B> = Queries<B>;
+
+/// Derivatives by what went into a normalisation, in the same shapes.
+#[derive(Clone, Debug)]
+pub struct NormGradients<B: Backend> {
+    /// By the input.
+    pub input: Device<B, 3>,
+    /// By the weight.
+    pub weight: Device<B, 1>,
+    /// By the bias.
+    pub bias: Device<B, 1>,
 }
 
 /// Derivatives by what went into a convolution, in the same shapes.

@@ -1,8 +1,15 @@
 //! The kernels in a backend's own tensor operations, derivatives by its own rules' formulas.
 
-use burn_tensor::{Tensor as Device, activation::relu, backend::Backend};
+use burn_tensor::{
+    Bool, Distribution, Tensor as Device, TensorPrimitive,
+    activation::{relu, softmax},
+    backend::Backend,
+};
 
-use super::{Convolution, ConvolutionGradients, Kind, lowering::Product};
+use super::{
+    AttentionGradients, Convolution, ConvolutionGradients, Heads, Kind, NORM_EPSILON,
+    NormGradients, Queries, lowering::Product,
+};
 
 pub(super) fn convolve<B: Backend>(
     plan: Convolution,
@@ -155,4 +162,125 @@ fn padded<B: Backend>(input: Device<B, 3>, length: usize) -> Device<B, 3> {
     let [batch, _, channels] = input.dims();
     let zeros = Device::zeros([batch, length, channels], &input.device());
     Device::cat(vec![zeros.clone(), input, zeros], 1)
+}
+
+pub(super) fn gelu_backward<B: Backend>(input: Device<B, 3>, outer: Device<B, 3>) -> Device<B, 3> {
+    let [input, outer] = [input, outer].map(|tensor| tensor.into_primitive().tensor());
+    Device::from_primitive(TensorPrimitive::Float(B::gelu_backward(input, outer)))
+}
+
+/// Rows at mean 0 and spread 1, and one over their spread.
+fn standardised<B: Backend>(input: Device<B, 3>) -> (Device<B, 3>, Device<B, 3>) {
+    let centred = input.clone() - input.mean_dim(2);
+    let variance = centred.clone().square().mean_dim(2);
+    let scale = variance.add_scalar(NORM_EPSILON).sqrt().recip();
+    (centred * scale.clone(), scale)
+}
+
+pub(super) fn normalise<B: Backend>(
+    input: Device<B, 3>,
+    weight: Device<B, 1>,
+    bias: Device<B, 1>,
+) -> Device<B, 3> {
+    let (standard, _) = standardised(input);
+    standard * weight.unsqueeze::<3>() + bias.unsqueeze::<3>()
+}
+
+pub(super) fn normalise_backward<B: Backend>(
+    input: Device<B, 3>,
+    weight: Device<B, 1>,
+    outer: Device<B, 3>,
+) -> NormGradients<B> {
+    let [channels] = weight.dims();
+    let (standard, scale) = standardised(input);
+    let rows = |tensor: Device<B, 3>| tensor.sum_dim(0).sum_dim(1).reshape([channels]);
+    let by_standard = outer.clone() * weight.unsqueeze::<3>();
+    let plain = by_standard.clone().mean_dim(2);
+    let along = (by_standard.clone() * standard.clone()).mean_dim(2);
+    NormGradients {
+        input: scale * (by_standard - plain - standard.clone() * along),
+        weight: rows(outer.clone() * standard),
+        bias: rows(outer),
+    }
+}
+
+/// `[batch, length, channels]` to `[batch, heads, length, size]`.
+fn split<B: Backend>(heads: Heads, tensor: Device<B, 3>) -> Device<B, 4> {
+    let [batch, length, channels] = tensor.dims();
+    let size = channels / heads.count;
+    let tensor = tensor.reshape([batch, length, heads.count, size]);
+    tensor.swap_dims(1, 2)
+}
+
+/// The opposite of [`split`].
+fn joined<B: Backend>(tensor: Device<B, 4>) -> Device<B, 3> {
+    let [batch, heads, length, size] = tensor.dims();
+    tensor
+        .swap_dims(1, 2)
+        .reshape([batch, length, heads * size])
+}
+
+/// Shares of the values, `[batch, heads, length, length]`, and the factor of the scores.
+fn shares<B: Backend>(
+    heads: Heads,
+    query: Device<B, 3>,
+    key: Device<B, 3>,
+    forbidden: Device<B, 2, Bool>,
+) -> (Device<B, 4>, f64) {
+    let (query, key) = (split(heads, query), split(heads, key));
+    let [batch, heads, length, size] = query.dims();
+    let scale = 1.0 / (size as f64).sqrt();
+    let scores = query.mul_scalar(scale).matmul(key.swap_dims(2, 3));
+    let forbidden = forbidden
+        .unsqueeze::<4>()
+        .expand([batch, heads, length, length]);
+    (
+        softmax(scores.mask_fill(forbidden, f32::NEG_INFINITY), 3),
+        scale,
+    )
+}
+
+fn dropped<B: Backend>(shares: Device<B, 4>, kept: Option<Device<B, 4>>) -> Device<B, 4> {
+    match kept {
+        Some(kept) => shares * kept,
+        None => shares,
+    }
+}
+
+pub(super) fn attend<B: Backend>(
+    heads: Heads,
+    queries: Queries<B>,
+    forbidden: Device<B, 2, Bool>,
+    kept: Option<Device<B, 4>>,
+) -> Device<B, 3> {
+    let (shares, _) = shares(heads, queries.query, queries.key, forbidden);
+    joined(dropped(shares, kept).matmul(split(heads, queries.value)))
+}
+
+pub(super) fn attend_backward<B: Backend>(
+    heads: Heads,
+    queries: Queries<B>,
+    forbidden: Device<B, 2, Bool>,
+    kept: Option<Device<B, 4>>,
+    outer: Device<B, 3>,
+) -> AttentionGradients<B> {
+    let Queries { query, key, value } = queries;
+    let (shares, scale) = shares(heads, query.clone(), key.clone(), forbidden);
+    let outer = split(heads, outer);
+    let by_value = dropped(shares.clone(), kept.clone())
+        .swap_dims(2, 3)
+        .matmul(outer.clone());
+    let by_shares = dropped(outer.matmul(split(heads, value).swap_dims(2, 3)), kept);
+    let along = (by_shares.clone() * shares.clone()).sum_dim(3);
+    let by_scores = (shares * (by_shares - along)).mul_scalar(scale);
+    AttentionGradients {
+        query: joined(by_scores.clone().matmul(split(heads, key))),
+        key: joined(by_scores.swap_dims(2, 3).matmul(split(heads, query))),
+        value: joined(by_value),
+    }
+}
+
+pub(super) fn kept<B: Backend, const D: usize>(like: &Device<B, D>, share: f64) -> Device<B, D> {
+    let kept = like.random_like(Distribution::Bernoulli(1.0 - share));
+    kept.mul_scalar(1.0 / (1.0 - share))
 }

@@ -1,72 +1,72 @@
-//! The kernels on a CPU: every group of pieces is lowered and multiplied on its own, by one thread.
-//!
-//! How pieces are grouped depends on their sizes alone, and groups are summed in order, so results
-//! do not depend on the number of threads.
+//! Convolutions: every group of pieces is lowered and multiplied on its own, by one thread.
 
-use burn_flex::{Flex, FlexTensor};
-use burn_tensor::{Tensor as Device, TensorData, TensorPrimitive};
+use std::borrow::Cow;
+
+use burn_flex::Flex;
+use burn_tensor::Tensor as Device;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, Slice, linalg::general_mat_mul};
 use rayon::prelude::*;
 
-use super::{Convolution, ConvolutionGradients, Kernels, lowering::Product};
+use super::{
+    super::{Convolution, ConvolutionGradients, Kind, lowering::Product},
+    host, tensor, values,
+};
 
 /// Rows of a matrix product that one thread takes at a time: large enough that a product is worth
 /// its preparation, small enough that its operands stay in a core's own cache.
 const GROUP_ROWS: usize = 240;
 
-impl Kernels for Flex {
-    fn convolve(
-        plan: Convolution,
-        input: Device<Self, 3>,
-        weight: Device<Self, 1>,
-        bias: Device<Self, 1>,
-    ) -> Device<Self, 3> {
-        let [batch, time, _] = input.dims();
-        let (input, weight, bias) = (host(input), host(weight), host(bias));
-        let work = Work::new(plan, time, values(&weight));
-        let mut output = vec![0.0; batch * work.output_length()];
-        output
-            .par_chunks_mut((work.group() * work.output_length()).max(1))
-            .zip(values(&input).par_chunks((work.group() * work.input_length()).max(1)))
-            .for_each(|(output, input)| work.forward(input, values(&bias), output));
-        let frames = plan.rows(time) * plan.outputs_per_row();
-        tensor(output, [batch, frames, plan.outputs])
-    }
+pub(super) fn convolve(
+    plan: Convolution,
+    input: Device<Flex, 3>,
+    weight: Device<Flex, 1>,
+    bias: Device<Flex, 1>,
+) -> Device<Flex, 3> {
+    let [batch, time, _] = input.dims();
+    let (input, weight, bias) = (host(input), host(weight), host(bias));
+    let work = Work::new(plan, time, values(&weight));
+    let mut output = vec![0.0; batch * work.output_length()];
+    output
+        .par_chunks_mut((work.group() * work.output_length()).max(1))
+        .zip(values(&input).par_chunks((work.group() * work.input_length()).max(1)))
+        .for_each(|(output, input)| work.forward(input, values(&bias), output));
+    let frames = plan.rows(time) * plan.outputs_per_row();
+    tensor(output, [batch, frames, plan.outputs])
+}
 
-    fn convolve_backward(
-        plan: Convolution,
-        input: Device<Self, 3>,
-        weight: Device<Self, 1>,
-        outer: Device<Self, 3>,
-    ) -> ConvolutionGradients<Self> {
-        let shape = input.dims();
-        let [_, time, _] = shape;
-        let (input, weight, outer) = (host(input), host(weight), host(outer));
-        let work = Work::new(plan, time, values(&weight));
-        let mut by_input = vec![0.0; values(&input).len()];
-        let group = work.group();
-        let changes: Vec<Changes> = by_input
-            .par_chunks_mut((group * work.input_length()).max(1))
-            .zip(values(&input).par_chunks((group * work.input_length()).max(1)))
-            .zip(values(&outer).par_chunks((group * work.output_length()).max(1)))
-            .map(|((by_input, input), outer)| work.backward(input, outer, by_input))
-            .collect();
-        let mut weight_change = vec![0.0; values(&weight).len()];
-        let mut bias_change = vec![0.0; plan.outputs];
-        for change in &changes {
-            for (products, change) in work.products.iter().zip(&change.kernels) {
-                products.add_to(change, &mut weight_change);
-            }
-            for (sum, value) in bias_change.iter_mut().zip(&change.bias) {
-                *sum += value;
-            }
+pub(super) fn convolve_backward(
+    plan: Convolution,
+    input: Device<Flex, 3>,
+    weight: Device<Flex, 1>,
+    outer: Device<Flex, 3>,
+) -> ConvolutionGradients<Flex> {
+    let shape = input.dims();
+    let [_, time, _] = shape;
+    let (input, weight, outer) = (host(input), host(weight), host(outer));
+    let work = Work::new(plan, time, values(&weight));
+    let mut by_input = vec![0.0; values(&input).len()];
+    let group = work.group();
+    let changes: Vec<Changes> = by_input
+        .par_chunks_mut((group * work.input_length()).max(1))
+        .zip(values(&input).par_chunks((group * work.input_length()).max(1)))
+        .zip(values(&outer).par_chunks((group * work.output_length()).max(1)))
+        .map(|((by_input, input), outer)| work.backward(input, outer, by_input))
+        .collect();
+    let mut weight_change = vec![0.0; values(&weight).len()];
+    let mut bias_change = vec![0.0; plan.outputs];
+    for change in &changes {
+        for (products, change) in work.products.iter().zip(&change.kernels) {
+            products.add_to(change, &mut weight_change);
         }
-        let (weights, biases) = (weight_change.len(), bias_change.len());
-        ConvolutionGradients {
-            input: tensor(by_input, shape),
-            weight: tensor(weight_change, [weights]),
-            bias: tensor(bias_change, [biases]),
+        for (sum, value) in bias_change.iter_mut().zip(&change.bias) {
+            *sum += value;
         }
+    }
+    let (weights, biases) = (weight_change.len(), bias_change.len());
+    ConvolutionGradients {
+        input: tensor(by_input, shape),
+        weight: tensor(weight_change, [weights]),
+        bias: tensor(bias_change, [biases]),
     }
 }
 
@@ -160,12 +160,17 @@ impl Work {
         self.rows * self.output_width()
     }
 
+    fn width(&self) -> usize {
+        self.plan.frames() * self.plan.inputs
+    }
+
     fn forward(&self, input: &[f32], bias: &[f32], output: &mut [f32]) {
         let lowered = self.lower(input);
         for row in output.chunks_exact_mut(bias.len().max(1)) {
             row.copy_from_slice(bias);
         }
-        let Some(mut output) = matrix_mut(output, self.output_width()) else {
+        let output = matrix_mut(output, self.output_width());
+        let (Some(lowered), Some(mut output)) = (matrix(&lowered, self.width()), output) else {
             return;
         };
         for prepared in &self.products {
@@ -177,7 +182,7 @@ impl Work {
 
     fn backward(&self, input: &[f32], outer: &[f32], by_input: &mut [f32]) -> Changes {
         let lowered = self.lower(input);
-        let mut by_lowered = Array2::<f32>::zeros(lowered.raw_dim());
+        let mut by_lowered = vec![0.0; lowered.len()];
         let mut bias = vec![0.0; self.plan.outputs];
         for row in outer.chunks_exact(bias.len().max(1)) {
             for (sum, value) in bias.iter_mut().zip(row) {
@@ -185,7 +190,11 @@ impl Work {
             }
         }
         let mut kernels = Vec::with_capacity(self.products.len());
-        if let Some(outer) = matrix(outer, self.output_width()) {
+        if let (Some(outer), Some(lowered), Some(mut by_lowered)) = (
+            matrix(outer, self.output_width()),
+            matrix(&lowered, self.width()),
+            matrix_mut(&mut by_lowered, self.width()),
+        ) {
             for prepared in &self.products {
                 let outer = outer.slice_axis(Axis(1), prepared.outputs());
                 let columns = lowered.slice_axis(Axis(1), prepared.columns());
@@ -199,9 +208,12 @@ impl Work {
     }
 
     /// Frames side by side, `[pieces * rows, frames * in]`.
-    fn lower(&self, input: &[f32]) -> Array2<f32> {
+    fn lower<'a>(&self, input: &'a [f32]) -> Cow<'a, [f32]> {
+        if self.plan.kind == Kind::Pointwise && !self.plan.rectified {
+            return Cow::Borrowed(input);
+        }
         let channels = self.plan.inputs;
-        let width = self.plan.frames() * channels;
+        let width = self.width();
         let pieces = input.len() / self.input_length().max(1);
         let mut lowered = Vec::with_capacity(pieces * self.rows * width);
         for piece in input.chunks_exact(self.input_length().max(1)) {
@@ -220,15 +232,18 @@ impl Work {
                 }
             }
         }
-        Array2::from_shape_vec((pieces * self.rows, width), lowered).unwrap_or_default()
+        Cow::Owned(lowered)
     }
 
     /// The transpose of [`Work::lower`], and of the rectifier.
-    fn raise(&self, lowered: &Array2<f32>, input: &[f32], raised: &mut [f32]) {
+    fn raise(&self, rows: &[f32], input: &[f32], raised: &mut [f32]) {
+        if self.plan.kind == Kind::Pointwise && !self.plan.rectified {
+            raised.copy_from_slice(rows);
+            return;
+        }
         let channels = self.plan.inputs;
         let length = self.input_length().max(1);
-        let rows = lowered.as_slice().unwrap_or_default();
-        let width = (self.plan.frames() * channels).max(1);
+        let width = self.width().max(1);
         let pieces = rows.chunks_exact((self.rows * width).max(1));
         for (piece, rows) in raised.chunks_exact_mut(length).zip(pieces) {
             for (row, values) in rows.chunks_exact(width).enumerate() {
@@ -256,19 +271,4 @@ fn matrix(values: &[f32], width: usize) -> Option<ArrayView2<'_, f32>> {
 
 fn matrix_mut(values: &mut [f32], width: usize) -> Option<ArrayViewMut2<'_, f32>> {
     ArrayViewMut2::from_shape((values.len() / width.max(1), width), values).ok()
-}
-
-/// The tensor with its values in order.
-pub(super) fn host<const D: usize>(tensor: Device<Flex, D>) -> FlexTensor {
-    tensor.into_primitive().tensor().to_contiguous()
-}
-
-/// The values of a tensor from [`host`].
-pub(super) fn values(tensor: &FlexTensor) -> &[f32] {
-    tensor.as_slice().unwrap_or_default()
-}
-
-pub(super) fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Device<Flex, D> {
-    let primitive = FlexTensor::from_data(TensorData::new(values, shape));
-    Device::from_primitive(TensorPrimitive::Float(primitive))
 }

@@ -1,0 +1,97 @@
+//! The kernels on a CPU.
+//!
+//! How work is divided among threads depends on its size alone, and parts are summed in order, so
+//! results do not depend on the number of threads.
+
+mod attention;
+mod convolution;
+mod elementwise;
+
+use burn_flex::{Flex, FlexTensor};
+use burn_tensor::{Bool, Tensor as Device, TensorData, TensorPrimitive};
+
+use super::{
+    AttentionGradients, Convolution, ConvolutionGradients, Heads, Kernels, NormGradients, Queries,
+};
+
+impl Kernels for Flex {
+    fn convolve(
+        plan: Convolution,
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        bias: Device<Self, 1>,
+    ) -> Device<Self, 3> {
+        convolution::convolve(plan, input, weight, bias)
+    }
+
+    fn convolve_backward(
+        plan: Convolution,
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        outer: Device<Self, 3>,
+    ) -> ConvolutionGradients<Self> {
+        convolution::convolve_backward(plan, input, weight, outer)
+    }
+
+    fn activate(input: Device<Self, 3>) -> Device<Self, 3> {
+        elementwise::gelu(input)
+    }
+
+    fn activate_backward(input: Device<Self, 3>, outer: Device<Self, 3>) -> Device<Self, 3> {
+        elementwise::gelu_backward(input, outer)
+    }
+
+    fn normalise(
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        bias: Device<Self, 1>,
+    ) -> Device<Self, 3> {
+        elementwise::normalise(input, weight, bias)
+    }
+
+    fn normalise_backward(
+        input: Device<Self, 3>,
+        weight: Device<Self, 1>,
+        outer: Device<Self, 3>,
+    ) -> NormGradients<Self> {
+        elementwise::normalise_backward(input, weight, outer)
+    }
+
+    fn attend(
+        heads: Heads,
+        queries: Queries<Self>,
+        forbidden: Device<Self, 2, Bool>,
+        kept: Option<Device<Self, 4>>,
+    ) -> Device<Self, 3> {
+        attention::attend(heads, queries, forbidden, kept)
+    }
+
+    fn attend_backward(
+        heads: Heads,
+        queries: Queries<Self>,
+        forbidden: Device<Self, 2, Bool>,
+        kept: Option<Device<Self, 4>>,
+        outer: Device<Self, 3>,
+    ) -> AttentionGradients<Self> {
+        attention::attend_backward(heads, queries, forbidden, kept, outer)
+    }
+
+    fn kept<const D: usize>(like: &Device<Self, D>, share: f64) -> Device<Self, D> {
+        elementwise::kept(like, share)
+    }
+}
+
+/// The tensor with its values in order.
+fn host<const D: usize>(tensor: Device<Flex, D>) -> FlexTensor {
+    tensor.into_primitive().tensor().to_contiguous()
+}
+
+/// The values of a tensor from [`host`].
+fn values(tensor: &FlexTensor) -> &[f32] {
+    tensor.as_slice().unwrap_or_default()
+}
+
+fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Device<Flex, D> {
+    let primitive = FlexTensor::from_data(TensorData::new(values, shape));
+    Device::from_primitive(TensorPrimitive::Float(primitive))
+}
