@@ -148,3 +148,9 @@ pub struct ConvolutionGradients<B: Backend> {
 pub trait Trainable: AutodiffBackend<InnerBackend: Kernels> + Kernels {}
 
 impl<A: AutodiffBackend<InnerBackend: Kernels> + Kernels> Trainable for A {}
+
+#[cfg(feature = "cuda")]
+impl Kernels for burn_cuda::Cuda {}
+
+#[cfg(feature = "wgpu")]
+impl Kernels for burn_wgpu::Wgpu {}
