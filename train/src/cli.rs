@@ -11,9 +11,10 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::{
     data::{
-        OpenOptions,
+        OpenOptions, Split,
         check::{CheckOptions, check},
     },
+    encode::{EncodeOptions, encode},
     export::Description,
     import::{ImportOptions, import},
     training::{
@@ -50,7 +51,41 @@ enum Command {
     Adapt(AdaptArguments),
     /// Write the model directory of a finished run
     Export(RunArguments),
+    Encode(EncodeArguments),
     CheckData(CheckArguments),
+}
+
+/// Send recordings through a model's pose VQ-VAE: their codes, and what the decoder makes of them
+///
+/// Writes `<id>.codes.npy` (int64 [2, codes], upper and lower) of every recording, and with
+/// --reconstruct `<id>.npy` (float32 [frames, 24, 3]), which `bailando evaluate` measures.
+#[derive(Args, Debug)]
+struct EncodeArguments {
+    /// Data folder of any layout
+    #[arg(value_name = "DIR")]
+    data: PathBuf,
+
+    /// Model directory
+    #[arg(long, default_value = "models/default", value_name = "DIR")]
+    model_dir: PathBuf,
+
+    /// Folder to write to
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// Which recordings
+    #[arg(long, value_enum, default_value_t = SplitName::Test)]
+    split: SplitName,
+
+    /// Decode the codes again, too
+    #[arg(long)]
+    reconstruct: bool,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum SplitName {
+    Train,
+    Test,
 }
 
 #[derive(Args, Debug)]
@@ -276,6 +311,12 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             writeln!(output, "wrote {folder} ({})", manifest.name)?;
             Ok(())
         }
+        Command::Encode(arguments) => {
+            let out = arguments.out.clone();
+            let count = encode(&arguments.into())?;
+            writeln!(output, "wrote {count} recordings to {}", out.display())?;
+            Ok(())
+        }
         Command::CheckData(arguments) => check_data(arguments, output),
     }
 }
@@ -372,6 +413,21 @@ fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Res
         return Ok(());
     }
     anyhow::bail!("{}: {}", arguments.folder.display(), report.verdict())
+}
+
+impl From<EncodeArguments> for EncodeOptions {
+    fn from(arguments: EncodeArguments) -> Self {
+        Self {
+            model: arguments.model_dir,
+            data: arguments.data,
+            split: match arguments.split {
+                SplitName::Train => Split::Train,
+                SplitName::Test => Split::Test,
+            },
+            out: arguments.out,
+            reconstruct: arguments.reconstruct,
+        }
+    }
 }
 
 impl From<ImportArguments> for ImportOptions {

@@ -1,12 +1,14 @@
-//! Checkpoints to model directories; later, training.
+//! Training, from data to model directories; and checkpoints of others to model directories.
 //!
 //! [`checkpoint`] (a file to tensors) → [`weights`] (tensors to networks) → [`onnx`] (networks to
 //! graphs) → [`export`] (graphs and manifest to a model directory). [`import`] goes all the way,
-//! [`cli`] parses and prints.
+//! [`training`] makes weights of [`data`], [`encode`] sends recordings through a model, [`cli`] parses
+//! and prints.
 
 pub mod checkpoint;
 pub mod cli;
 pub mod data;
+pub mod encode;
 pub mod export;
 pub mod import;
 pub mod nn;
