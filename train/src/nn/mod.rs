@@ -20,8 +20,8 @@ pub use critic::CriticNet;
 pub use gpt::{GptNet, Logits};
 pub use initial::{GptSizes, VqVaeSizes, random_critic, random_gpt, random_vqvae};
 pub use kernels::{
-    AttentionGradients, Convolution, ConvolutionGradients, Heads, Kernels, Kind, NormGradients,
-    Queries, Trainable,
+    AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kernels, Kind,
+    NormGradients, Queries, Trainable,
 };
 pub(crate) use parameters::values;
 pub use parameters::{Parameters, Store};

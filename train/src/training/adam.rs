@@ -2,6 +2,8 @@
 
 use burn_tensor::{Tensor as Device, backend::Backend};
 
+use crate::nn::{Descent, Kernels};
+
 const EPSILON: f64 = 1e-8;
 
 /// Moments of every tensor, and what a step does with them.
@@ -12,7 +14,7 @@ pub(super) struct Adam<B: Backend> {
     betas: [f64; 2],
 }
 
-impl<B: Backend> Adam<B> {
+impl<B: Kernels> Adam<B> {
     pub(super) fn new(tensors: &[Device<B, 1>], betas: [f64; 2]) -> Self {
         let zeros: Vec<_> = tensors.iter().map(Device::zeros_like).collect();
         Self {
@@ -30,23 +32,24 @@ impl<B: Backend> Adam<B> {
         rate: f64,
         step: u64,
     ) {
-        let [beta1, beta2] = self.betas;
         let count = i32::try_from(step + 1).unwrap_or(i32::MAX);
-        let correction1 = 1.0 - beta1.powi(count);
-        let correction2 = 1.0 - beta2.powi(count);
+        let step = Descent {
+            betas: self.betas,
+            corrections: self.betas.map(|beta| 1.0 - beta.powi(count)),
+            rate,
+            epsilon: EPSILON,
+        };
         let moments = self.first.iter_mut().zip(&mut self.second);
         for ((tensor, gradient), (first, second)) in tensors.iter_mut().zip(gradients).zip(moments)
         {
             let Some(gradient) = gradient else { continue };
-            *first = first.clone().mul_scalar(beta1) + gradient.clone().mul_scalar(1.0 - beta1);
-            *second = second.clone().mul_scalar(beta2) + gradient.square().mul_scalar(1.0 - beta2);
-            let spread = second
-                .clone()
-                .div_scalar(correction2)
-                .sqrt()
-                .add_scalar(EPSILON);
-            let change = first.clone().mul_scalar(rate / correction1) / spread;
-            *tensor = tensor.clone() - change;
+            let empty = || Device::empty([0], &gradient.device());
+            // Taken out, so that they may be changed in their place.
+            let taken = [&mut *tensor, &mut *first, &mut *second]
+                .map(|slot| std::mem::replace(slot, empty()));
+            let [value, one, two] = taken;
+            let (value, [one, two]) = B::descend(step, value, gradient, [one, two]);
+            (*tensor, *first, *second) = (value, one, two);
         }
     }
 }

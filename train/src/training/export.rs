@@ -11,7 +11,7 @@ use super::{
     vqvae::Trained,
 };
 use crate::{
-    export::{Description, write_model_directory},
+    export::{Description, ExportError, write_model_directory},
     weights::{GptWeights, HalfWeights, VqVaeWeights},
 };
 
@@ -44,6 +44,7 @@ pub(super) fn write<const N: usize>(
         ("seed", config.run.seed.into()),
         ("data", config.data.folder.display().to_string().into()),
         (CHECKPOINTS, checkpoints(config)?),
+        ("settings", settings(config)?),
     ];
     let training = training.into_iter().chain(facts);
     let description = Description {
@@ -66,6 +67,23 @@ pub(super) fn write<const N: usize>(
         &vqvae_weights(config)?,
         &description,
     )?)
+}
+
+/// What the weights were trained with.
+fn settings(config: &Config) -> Result<Value, TrainError> {
+    let mut settings = serde_json::Map::new();
+    let mut add = |name: &str, value: serde_json::Result<Value>| {
+        value.map(|value| settings.insert(name.to_owned(), value))
+    };
+    add("vqvae", serde_json::to_value(&config.vqvae))
+        .and_then(|_| add("velocity", serde_json::to_value(&config.velocity)))
+        .and_then(|_| add("gpt", serde_json::to_value(&config.gpt)))
+        .map_err(ExportError::Manifest)?;
+    if Policy::latest_stage(config)? == Stage::ActorCritic {
+        add("actor_critic", serde_json::to_value(&config.actor_critic))
+            .map_err(ExportError::Manifest)?;
+    }
+    Ok(Value::Object(settings))
 }
 
 /// The stages whose weights are exported.

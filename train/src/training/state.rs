@@ -117,6 +117,8 @@ impl<A: Trainable> State<A> {
         let mut gradients = loss.backward();
         let tensors = tracked.tensors().iter();
         let mut gradients: Vec<_> = tensors.map(|t| t.grad_remove(&mut gradients)).collect();
+        // The last copies but our own: what nobody else has is changed in its place.
+        drop(tracked);
         clip(&mut gradients, training.clip);
         let earlier = work.earlier_updates(self.step);
         self.adam

@@ -41,6 +41,11 @@ pub(super) struct Product {
 }
 
 impl Convolution {
+    /// Whether every frame is mapped by itself.
+    pub(super) fn is_linear(self) -> bool {
+        self.kind == Kind::Pointwise && !self.rectified
+    }
+
     /// Frames side by side in a row of the lowered input.
     pub(super) fn frames(self) -> usize {
         match self.kind {

@@ -95,11 +95,34 @@ pub trait Kernels: Backend {
         plain::attend_backward(heads, queries, forbidden, kept, outer)
     }
 
+    /// One step of Adam: the tensor and its two moments afterwards.
+    fn descend(
+        step: Descent,
+        tensor: Device<Self, 1>,
+        gradient: Device<Self, 1>,
+        moments: [Device<Self, 1>; 2],
+    ) -> (Device<Self, 1>, [Device<Self, 1>; 2]) {
+        plain::descend(step, tensor, gradient, moments)
+    }
+
     /// Random factors in the shape of `like`: 0 for that share of the values, else what keeps the
     /// mean.
     fn kept<const D: usize>(like: &Device<Self, D>, share: f64) -> Device<Self, D> {
         plain::kept(like, share)
     }
+}
+
+/// What a step of Adam does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Descent {
+    /// What is kept of the moments.
+    pub betas: [f64; 2],
+    /// What the moments are divided by, for they started from zero.
+    pub corrections: [f64; 2],
+    /// How far the step goes.
+    pub rate: f64,
+    /// What keeps it from dividing by zero.
+    pub epsilon: f64,
 }
 
 /// Attention heads.

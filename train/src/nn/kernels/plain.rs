@@ -7,7 +7,7 @@ use burn_tensor::{
 };
 
 use super::{
-    AttentionGradients, Convolution, ConvolutionGradients, Heads, Kind, NORM_EPSILON,
+    AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kind, NORM_EPSILON,
     NormGradients, Queries, lowering::Product,
 };
 
@@ -278,6 +278,21 @@ pub(super) fn attend_backward<B: Backend>(
         key: joined(by_scores.swap_dims(2, 3).matmul(split(heads, query))),
         value: joined(by_value),
     }
+}
+
+pub(super) fn descend<B: Backend>(
+    step: Descent,
+    tensor: Device<B, 1>,
+    gradient: Device<B, 1>,
+    [first, second]: [Device<B, 1>; 2],
+) -> (Device<B, 1>, [Device<B, 1>; 2]) {
+    let ([beta1, beta2], [correction1, correction2]) = (step.betas, step.corrections);
+    let first = first.mul_scalar(beta1) + gradient.clone().mul_scalar(1.0 - beta1);
+    let second = second.mul_scalar(beta2) + gradient.square().mul_scalar(1.0 - beta2);
+    let spread = second.clone().div_scalar(correction2).sqrt();
+    let spread = spread.add_scalar(step.epsilon);
+    let change = first.clone().mul_scalar(step.rate / correction1) / spread;
+    (tensor - change, [first, second])
 }
 
 pub(super) fn kept<B: Backend, const D: usize>(like: &Device<B, D>, share: f64) -> Device<B, D> {

@@ -5,7 +5,7 @@ use burn_autodiff::Autodiff;
 use burn_flex::{Flex, FlexDevice};
 use burn_tensor::{Bool, Distribution, Tensor, TensorData, backend::Backend};
 
-use super::{Convolution, Heads, Kernels, Kind, Queries, plain};
+use super::{Convolution, Descent, Heads, Kernels, Kind, Queries, plain};
 
 type Traced = Autodiff<Flex>;
 
@@ -172,6 +172,23 @@ fn attention_agrees() {
             );
         }
     }
+}
+
+#[test]
+fn descents_agree() {
+    let step = Descent {
+        betas: [0.9, 0.99],
+        corrections: [0.3, 0.05],
+        rate: 0.01,
+        epsilon: 1e-8,
+    };
+    let part = |seed| random([40_000], seed);
+    let moments = || [part(3), part(4).abs()];
+    let (found, [first, second]) = Flex::descend(step, part(1), part(2), moments());
+    let (wanted, [one, two]) = plain::descend(step, part(1), part(2), moments());
+    close(found, wanted, "tensor");
+    close(first, one, "first moment");
+    close(second, two, "second moment");
 }
 
 #[test]

@@ -1,14 +1,12 @@
 //! Convolutions: every group of pieces is lowered and multiplied on its own, by one thread.
 
-use std::borrow::Cow;
-
 use burn_flex::Flex;
 use burn_tensor::Tensor as Device;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, Slice, linalg::general_mat_mul};
 use rayon::prelude::*;
 
 use super::{
-    super::{Convolution, ConvolutionGradients, Kind, lowering::Product},
+    super::{Convolution, ConvolutionGradients, lowering::Product},
     host, tensor, values,
 };
 
@@ -208,10 +206,7 @@ impl Work {
     }
 
     /// Frames side by side, `[pieces * rows, frames * in]`.
-    fn lower<'a>(&self, input: &'a [f32]) -> Cow<'a, [f32]> {
-        if self.plan.kind == Kind::Pointwise && !self.plan.rectified {
-            return Cow::Borrowed(input);
-        }
+    fn lower(&self, input: &[f32]) -> Vec<f32> {
         let channels = self.plan.inputs;
         let width = self.width();
         let pieces = input.len() / self.input_length().max(1);
@@ -232,15 +227,11 @@ impl Work {
                 }
             }
         }
-        Cow::Owned(lowered)
+        lowered
     }
 
     /// The transpose of [`Work::lower`], and of the rectifier.
     fn raise(&self, rows: &[f32], input: &[f32], raised: &mut [f32]) {
-        if self.plan.kind == Kind::Pointwise && !self.plan.rectified {
-            raised.copy_from_slice(rows);
-            return;
-        }
         let channels = self.plan.inputs;
         let length = self.input_length().max(1);
         let width = self.width().max(1);

@@ -5,13 +5,16 @@
 
 mod attention;
 mod convolution;
+mod descent;
 mod elementwise;
+mod linear;
 
 use burn_flex::{Flex, FlexTensor};
 use burn_tensor::{Bool, Tensor as Device, TensorData, TensorPrimitive};
 
 use super::{
-    AttentionGradients, Convolution, ConvolutionGradients, Heads, Kernels, NormGradients, Queries,
+    AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kernels, NormGradients,
+    Queries,
 };
 
 impl Kernels for Flex {
@@ -21,6 +24,9 @@ impl Kernels for Flex {
         weight: Device<Self, 1>,
         bias: Device<Self, 1>,
     ) -> Device<Self, 3> {
+        if plan.is_linear() {
+            return linear::map(plan, input, weight, bias);
+        }
         convolution::convolve(plan, input, weight, bias)
     }
 
@@ -30,6 +36,9 @@ impl Kernels for Flex {
         weight: Device<Self, 1>,
         outer: Device<Self, 3>,
     ) -> ConvolutionGradients<Self> {
+        if plan.is_linear() {
+            return linear::map_backward(plan, input, weight, outer);
+        }
         convolution::convolve_backward(plan, input, weight, outer)
     }
 
@@ -74,6 +83,15 @@ impl Kernels for Flex {
         outer: Device<Self, 3>,
     ) -> AttentionGradients<Self> {
         attention::attend_backward(heads, queries, forbidden, kept, outer)
+    }
+
+    fn descend(
+        step: Descent,
+        tensor: Device<Self, 1>,
+        gradient: Device<Self, 1>,
+        moments: [Device<Self, 1>; 2],
+    ) -> (Device<Self, 1>, [Device<Self, 1>; 2]) {
+        descent::descend(step, tensor, gradient, moments)
     }
 
     fn kept<const D: usize>(like: &Device<Self, D>, share: f64) -> Device<Self, D> {

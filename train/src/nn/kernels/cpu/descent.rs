@@ -1,0 +1,42 @@
+//! Adam in one pass over a tensor and its moments.
+
+use burn_flex::{Flex, FlexTensor};
+use burn_tensor::{Tensor as Device, TensorPrimitive};
+use rayon::prelude::*;
+
+use super::{super::Descent, host, values};
+
+/// Values that one thread takes at a time.
+const PART: usize = 16_384;
+
+pub(super) fn descend(
+    step: Descent,
+    tensor: Device<Flex, 1>,
+    gradient: Device<Flex, 1>,
+    [first, second]: [Device<Flex, 1>; 2],
+) -> (Device<Flex, 1>, [Device<Flex, 1>; 2]) {
+    let gradient = host(gradient);
+    let [mut tensor, mut first, mut second] = [tensor, first, second].map(host);
+    let [beta1, beta2] = step.betas.map(|beta| beta as f32);
+    let [fresh1, fresh2] = step.betas.map(|beta| (1.0 - beta) as f32);
+    let [correction1, correction2] = step.corrections;
+    let (rate, correction2) = ((step.rate / correction1) as f32, correction2 as f32);
+    let epsilon = step.epsilon as f32;
+    tensor
+        .storage_mut::<f32>()
+        .par_chunks_mut(PART)
+        .zip(first.storage_mut::<f32>().par_chunks_mut(PART))
+        .zip(second.storage_mut::<f32>().par_chunks_mut(PART))
+        .zip(values(&gradient).par_chunks(PART))
+        .for_each(|(((tensor, first), second), gradient)| {
+            let moments = first.iter_mut().zip(second);
+            for ((value, gradient), (first, second)) in tensor.iter_mut().zip(gradient).zip(moments)
+            {
+                *first = *first * beta1 + gradient * fresh1;
+                *second = *second * beta2 + gradient * gradient * fresh2;
+                *value -= *first * rate / ((*second / correction2).sqrt() + epsilon);
+            }
+        });
+    let wrap = |tensor: FlexTensor| Device::from_primitive(TensorPrimitive::Float(tensor));
+    (wrap(tensor), [wrap(first), wrap(second)])
+}
