@@ -18,8 +18,8 @@ use crate::{
     export::Description,
     import::{ImportOptions, import},
     training::{
-        Adaptation, Config, Limits, MotionSet, Outcome, Stage, adapt, export, export_adapted,
-        run_all, target_song, train,
+        AblationConfig, Adaptation, Config, Limits, MotionSet, Outcome, Stage, adapt, export,
+        export_adapted, generate_test_dances, run_all, target_song, train,
     },
 };
 
@@ -52,6 +52,7 @@ enum Command {
     /// Write the model directory of a finished run
     Export(RunArguments),
     Encode(EncodeArguments),
+    Generate(GenerateArguments),
     CheckData(CheckArguments),
 }
 
@@ -131,6 +132,28 @@ struct StageArguments {
     /// Write a checkpoint and stop after this many steps; the same command goes on
     #[arg(long, value_name = "N")]
     max_steps: Option<u64>,
+}
+
+/// Generate dances of a finished run for all songs of the test split.
+///
+/// One DIR/<piece>.npy each ([frames, 24, 3] at 60 a second), for `bailando evaluate --generated
+/// DIR`. Runs with parts left out ([ablation]) have no other way: the server knows whole models.
+#[derive(Args, Debug)]
+struct GenerateArguments {
+    /// Settings of the run
+    config: PathBuf,
+
+    /// Folder to write
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+
+    /// The same seed gives the same dances
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    seed: u64,
+
+    /// Folder of music features [default: `data.cache` of the settings]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
 }
 
 /// Train the policy on the rewards of one song, for which no dance is needed.
@@ -317,6 +340,7 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             writeln!(output, "wrote {count} recordings to {}", out.display())?;
             Ok(())
         }
+        Command::Generate(arguments) => generate(&arguments, output),
         Command::CheckData(arguments) => check_data(arguments, output),
     }
 }
@@ -354,6 +378,14 @@ fn adapt_policy(arguments: &AdaptArguments, output: &mut impl Write) -> anyhow::
     Ok(())
 }
 
+fn generate(arguments: &GenerateArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let config = with_cache(&arguments.config, arguments.cache.as_deref())?;
+    let (seed, folder) = (arguments.seed, &arguments.out);
+    let count = generate_test_dances(&config, seed, folder, output)?;
+    writeln!(output, "wrote {count} dances to {}", folder.display())?;
+    Ok(())
+}
+
 fn report_outcome(outcome: Outcome, output: &mut impl Write) -> anyhow::Result<()> {
     match outcome {
         Outcome::Finished => writeln!(output, "finished")?,
@@ -365,7 +397,10 @@ fn report_outcome(outcome: Outcome, output: &mut impl Write) -> anyhow::Result<(
 fn train_all(arguments: &WholeArguments, output: &mut impl Write) -> anyhow::Result<()> {
     let config = Config::read(&arguments.run.config)?;
     match run_all(&config, arguments.run.force, arguments.max_seconds, output)? {
-        Outcome::Finished => try_it(&config.export.folder, output)?,
+        Outcome::Finished if config.ablation == AblationConfig::default() => {
+            try_it(&config.export.folder, output)?;
+        }
+        Outcome::Finished => {}
         Outcome::Paused => writeln!(output, "{PAUSED}")?,
     }
     Ok(())
@@ -376,14 +411,19 @@ fn try_it(model: &Path, output: &mut impl Write) -> io::Result<()> {
     writeln!(output, "try it: bailando serve --model-dir {model}")
 }
 
+/// The settings, with another folder of music features.
+fn with_cache(config: &Path, cache: Option<&Path>) -> anyhow::Result<Config> {
+    let mut config = Config::read(config)?;
+    if let Some(cache) = cache {
+        config.data.cache = cache.to_owned();
+    }
+    Ok(config)
+}
+
 impl StageArguments {
     /// The settings, with what the command line changes.
     fn config(&self) -> anyhow::Result<Config> {
-        let mut config = Config::read(&self.config)?;
-        if let Some(cache) = &self.cache {
-            config.data.cache.clone_from(cache);
-        }
-        Ok(config)
+        with_cache(&self.config, self.cache.as_deref())
     }
 
     fn limits(&self) -> Limits {

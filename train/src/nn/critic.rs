@@ -5,7 +5,7 @@ use burn_tensor::Tensor as Device;
 use super::{
     kernels::Kernels,
     parameters::{Parameters, Slot, Store},
-    transformer::{Attention, BlockNet, NormNet, STREAMS, multiplied},
+    transformer::{Attention, BlockNet, NormNet, STREAMS, View, multiplied},
 };
 use crate::weights::CriticWeights;
 
@@ -61,7 +61,8 @@ impl CriticNet {
     ) -> Device<B, 2> {
         let [batch, tokens, _] = states.dims();
         let steps = tokens / STREAMS;
-        let context = Attention::new(self.heads, steps, 0.0, parameters.device());
+        // It judges the whole body, also where the halves of the policy do not see each other.
+        let context = Attention::new(self.heads, steps, View::All, 0.0, parameters.device());
         let blocks = self.blocks.iter();
         let hidden = blocks.fold(states, |hidden, block| {
             block.forward(parameters, hidden, &context)

@@ -5,7 +5,7 @@ use burn_tensor::{Int, Tensor as Device, backend::Backend};
 use super::{
     kernels::Kernels,
     parameters::{Parameters, Slot, Store},
-    transformer::{Attention, BlockNet, LinearNet, NormNet, STREAMS, drop, multiplied},
+    transformer::{Attention, BlockNet, LinearNet, NormNet, STREAMS, View, drop, multiplied},
 };
 use crate::{Tensor, weights::GptWeights};
 
@@ -31,6 +31,8 @@ pub struct GptNet {
     lower_head: Slot,
     heads: usize,
     block: usize,
+    view: View,
+    one_code: bool,
 }
 
 impl GptNet {
@@ -53,7 +55,35 @@ impl GptNet {
             lower_head: matrix("lower_head", weights.lower_head.transposed(), store),
             heads: weights.heads,
             block: weights.block(),
+            view: View::All,
+            one_code: false,
         }
+    }
+
+    /// Without attention from one half of the body to the other: as two networks that share their
+    /// weights.
+    #[must_use]
+    pub fn with_separate_halves(self) -> Self {
+        Self {
+            view: View::OwnAndMusic,
+            ..self
+        }
+    }
+
+    /// For codes of the whole body: both streams carry the same ones, and the upper head alone
+    /// scores the next.
+    #[must_use]
+    pub fn with_one_code(self) -> Self {
+        Self {
+            one_code: true,
+            ..self
+        }
+    }
+
+    /// Whether both streams carry the same codes.
+    #[must_use]
+    pub fn has_one_code(&self) -> bool {
+        self.one_code
     }
 
     /// The weights as they are in `store`.
@@ -120,7 +150,7 @@ impl GptNet {
         let lower = embedded(self.lower_embedding, lower);
         let tokens =
             Device::cat(vec![music, upper, lower], 1) + self.position_rows(parameters, steps);
-        let context = Attention::new(self.heads, steps, dropout, parameters.device());
+        let context = self.attention(steps, dropout, parameters);
         let blocks = self.blocks.iter().take(layers);
         blocks.fold(drop(tokens, dropout), |hidden, block| {
             block.forward(parameters, hidden, &context)
@@ -137,7 +167,7 @@ impl GptNet {
     ) -> Logits<B> {
         let [_, tokens, _] = states.dims();
         let steps = tokens / STREAMS;
-        let context = Attention::new(self.heads, steps, dropout, parameters.device());
+        let context = self.attention(steps, dropout, parameters);
         let blocks = self.blocks.iter().skip(layers);
         let hidden = blocks.fold(states, |hidden, block| {
             block.forward(parameters, hidden, &context)
@@ -147,10 +177,21 @@ impl GptNet {
             let rows = hidden.clone().narrow(1, stream * steps, steps);
             multiplied(rows, parameters.matrix(slot))
         };
-        Logits {
-            upper: scores(self.upper_head, 1),
-            lower: scores(self.lower_head, 2),
-        }
+        let upper = scores(self.upper_head, 1);
+        let lower = match self.one_code {
+            true => upper.clone(),
+            false => scores(self.lower_head, 2),
+        };
+        Logits { upper, lower }
+    }
+
+    fn attention<B: Backend>(
+        &self,
+        steps: usize,
+        dropout: f64,
+        parameters: &Parameters<B>,
+    ) -> Attention<B> {
+        Attention::new(self.heads, steps, self.view, dropout, parameters.device())
     }
 
     /// The first `steps` positions of each stream, `[1, 3 * steps, channels]`.
@@ -158,5 +199,66 @@ impl GptNet {
         let table = parameters.matrix(self.positions);
         let parts = (0..STREAMS).map(|stream| table.clone().narrow(0, stream * self.block, steps));
         Device::cat(parts.collect(), 0).unsqueeze_dim(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn_flex::{Flex, FlexDevice};
+    use burn_tensor::TensorData;
+
+    use super::*;
+    use crate::nn::{GptSizes, random_gpt, values};
+
+    const STEPS: usize = 5;
+
+    /// Upper and lower scores for music, upper and lower codes that are all of one number.
+    fn scores(net: impl Fn(GptNet) -> GptNet, [music, upper, lower]: [i32; 3]) -> [Vec<f32>; 2] {
+        let sizes = GptSizes {
+            channels: 8,
+            heads: 2,
+            layers: 3,
+            block: STEPS,
+            codes: [6, 6],
+            columns: 4,
+        };
+        let mut store = Store::default();
+        let net = net(GptNet::new(&random_gpt(sizes, 7), &mut store));
+        let parameters = Parameters::<Flex>::from_store(&store, &FlexDevice);
+        let rows = Device::full([1, STEPS, 4], music as f32, &FlexDevice);
+        let codes = [upper, lower].map(|code| {
+            let codes = TensorData::new(vec![code; STEPS], [1, STEPS]);
+            Device::from_data(codes, &FlexDevice)
+        });
+        let logits = net.forward(&parameters, rows, codes, 0.0);
+        [values(&logits.upper), values(&logits.lower)]
+    }
+
+    #[test]
+    fn separate_halves_hear_the_music_but_not_each_other() {
+        for separate in [false, true] {
+            let form = |net: GptNet| match separate {
+                true => net.with_separate_halves(),
+                false => net,
+            };
+            let [upper, lower] = scores(form, [1, 2, 3]);
+            let [with_other_lower, own] = scores(form, [1, 2, 4]);
+            assert_ne!(own, lower);
+            assert_eq!(with_other_lower == upper, separate);
+            let [own, with_other_upper] = scores(form, [1, 5, 3]);
+            assert_ne!(own, upper);
+            assert_eq!(with_other_upper == lower, separate);
+            let [upper_to_other, lower_to_other] = scores(form, [0, 2, 3]);
+            assert!(upper_to_other != upper && lower_to_other != lower);
+        }
+    }
+
+    #[test]
+    fn one_code_has_one_score() {
+        let [upper, lower] = scores(GptNet::with_one_code, [1, 2, 2]);
+        assert_eq!(upper, lower);
+        let [of_two, other] = scores(|net| net, [1, 2, 2]);
+        assert_eq!(of_two, upper);
+        assert_ne!(other, lower);
     }
 }

@@ -9,8 +9,7 @@ use crate::{
     Tensor,
     weights::{
         Block, Convolution, CriticWeights, DecoderLevel, DecoderWeights, EncoderLevel,
-        EncoderWeights, GptWeights, HALF_JOINTS, HalfWeights, LayerNorm, Linear, ResidualBlock,
-        VqVaeWeights,
+        EncoderWeights, GptWeights, HalfWeights, LayerNorm, Linear, ResidualBlock, VqVaeWeights,
     },
 };
 
@@ -30,6 +29,8 @@ pub struct VqVaeSizes {
     pub embedding: usize,
     /// Codebook entries of each half.
     pub codes: usize,
+    /// Columns of each half.
+    pub half_columns: [usize; 2],
     /// Columns of the root's decoder: 3, or 4 in the dancer's frame.
     pub root_columns: usize,
 }
@@ -55,10 +56,10 @@ pub struct GptSizes {
 #[must_use]
 pub fn random_vqvae(sizes: VqVaeSizes, seed: u64) -> VqVaeWeights {
     let mut random = Random::new(seed);
-    let (upper, lower) = HALF_JOINTS;
+    let [upper, lower] = sizes.half_columns;
     VqVaeWeights {
-        upper: half(sizes, 3 * upper.len(), &mut random),
-        lower: half(sizes, 3 * lower.len(), &mut random),
+        upper: half(sizes, upper, &mut random),
+        lower: half(sizes, lower, &mut random),
         root: decoder(sizes, sizes.root_columns, &mut random),
     }
 }

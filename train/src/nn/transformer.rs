@@ -12,12 +12,31 @@ use crate::weights::{Block, LayerNorm, Linear};
 /// Music, upper and lower tokens lie behind one another.
 pub(super) const STREAMS: usize = 3;
 
+/// Which streams a stream's positions see, up to their own step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum View {
+    /// All three (paper section 3.2, cross-conditional).
+    All,
+    /// Music and itself; music sees music alone, or the halves would hear of each other by it.
+    OwnAndMusic,
+}
+
+impl View {
+    fn forbids(self, seer: usize, seen: usize) -> bool {
+        const MUSIC: usize = 0;
+        self == Self::OwnAndMusic && seen != MUSIC && seen != seer
+    }
+}
+
 /// True where attention is forbidden, `[3 * steps, 3 * steps]`: position `i` of any stream
-/// sees positions up to `i` of all three.
-fn cross_conditional_mask<B: Backend>(steps: usize, device: &B::Device) -> Device<B, 2, Bool> {
+/// sees positions up to `i` of the streams in its view.
+fn causal_mask<B: Backend>(steps: usize, view: View, device: &B::Device) -> Device<B, 2, Bool> {
     let length = STREAMS * steps;
     let forbidden: Vec<bool> = (0..length * length)
-        .map(|flat| (flat % length) % steps > (flat / length) % steps)
+        .map(|flat| {
+            let (seer, seen) = (flat / length, flat % length);
+            seen % steps > seer % steps || view.forbids(seer / steps, seen / steps)
+        })
         .collect();
     Device::from_data(TensorData::new(forbidden, [length, length]), device)
 }
@@ -30,10 +49,16 @@ pub(super) struct Attention<B: Backend> {
 }
 
 impl<B: Backend> Attention<B> {
-    pub(super) fn new(heads: usize, steps: usize, dropout: f64, device: &B::Device) -> Self {
+    pub(super) fn new(
+        heads: usize,
+        steps: usize,
+        view: View,
+        dropout: f64,
+        device: &B::Device,
+    ) -> Self {
         Self {
             heads,
-            mask: cross_conditional_mask(steps, device),
+            mask: causal_mask(steps, view, device),
             dropout,
         }
     }
@@ -215,4 +240,44 @@ pub(super) fn drop<B: Kernels, const D: usize>(input: Device<B, D>, share: f64) 
     }
     let kept = B::kept(&input, share);
     input * kept
+}
+
+#[cfg(test)]
+mod tests {
+    use burn_flex::{Flex, FlexDevice};
+
+    use super::*;
+
+    /// The streams that the last step of each stream sees, and whether any step sees a later one.
+    fn seen(view: View) -> ([Vec<usize>; STREAMS], bool) {
+        const STEPS: usize = 4;
+        let mask: Vec<bool> = causal_mask::<Flex>(STEPS, view, &FlexDevice)
+            .into_data()
+            .iter::<bool>()
+            .collect();
+        let length = STREAMS * STEPS;
+        let sees = |seer: usize, seen: usize| !mask[seer * length + seen];
+        let streams = [0, 1, 2].map(|stream| {
+            let seer = stream * STEPS + STEPS - 1;
+            let all = (0..STREAMS).filter(|other| {
+                let steps = (0..STEPS).filter(|step| sees(seer, other * STEPS + step));
+                // All of its steps or none: the last step sees every step of what it sees.
+                let count = steps.count();
+                assert!(count == 0 || count == STEPS, "{stream} {other}: {count}");
+                count > 0
+            });
+            all.collect()
+        });
+        let places = (0..length).flat_map(|seer| (0..length).map(move |seen| (seer, seen)));
+        let mut later = places.filter(|&(seer, seen)| seen % STEPS > seer % STEPS);
+        (streams, later.any(|(seer, seen)| sees(seer, seen)))
+    }
+
+    #[test]
+    fn halves_see_each_other_unless_they_are_separate() {
+        let every = || vec![0, 1, 2];
+        assert_eq!(seen(View::All), ([every(), every(), every()], false));
+        let separate = [vec![0], vec![0, 1], vec![0, 2]];
+        assert_eq!(seen(View::OwnAndMusic), (separate, false));
+    }
 }

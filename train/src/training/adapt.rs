@@ -71,6 +71,7 @@ pub fn adapt(
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
+    config.ablation.refuse("adapt")?;
     let run = adaptation.run(config);
     let stage = ActorCriticConfig {
         pieces_per_epoch: config.adapt.pieces_per_epoch,

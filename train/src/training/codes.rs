@@ -103,7 +103,9 @@ fn variants<B: Kernels>(
         for places in places.chunks((FRAMES_AT_ONCE / frames.max(1)).max(1)) {
             let draws: Vec<Draw> = places.iter().map(|&place| all[place]).collect();
             for half in [0, 1] {
-                let motion = half_crops(std::slice::from_ref(piece), &draws, frames, half, device);
+                let columns = &frozen.halves.columns[half];
+                let piece = std::slice::from_ref(piece);
+                let motion = half_crops(piece, &draws, frames, columns, device);
                 let (net, table) = (&frozen.halves.nets[half], &frozen.codebooks[half]);
                 let found = net.encode(&frozen.parameters, table, motion);
                 let found: Vec<i32> = found.into_data().iter::<i32>().collect();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
 use serde::{Deserialize, Serialize};
 
-use super::{TrainError, reward::BeatReward};
+use super::{AblationConfig, TrainError, reward::BeatReward};
 use crate::data::{JOINTS, PHASES};
 
 /// The file that says every setting, with a comment on each.
@@ -23,6 +23,7 @@ pub struct Config {
     pub gpt: GptConfig,
     pub actor_critic: ActorCriticConfig,
     pub adapt: AdaptConfig,
+    pub ablation: AblationConfig,
     pub export: ExportConfig,
 }
 
@@ -265,6 +266,9 @@ impl Config {
         self.actor_critic
             .check()
             .map_err(|message| format!("actor_critic: {message}"))?;
+        self.ablation
+            .check()
+            .map_err(|message| format!("ablation: {message}"))?;
         let sizes = [
             ("vqvae.width", self.vqvae.width),
             ("vqvae.embedding", self.vqvae.embedding),
@@ -372,9 +376,10 @@ mod tests {
             BASE,
             include_str!("../../presets/default.toml"),
             include_str!("../../presets/tiny.toml"),
+            include_str!("../../presets/ablation.toml"),
         ];
         let widths = presets.map(|text| Config::parse(text).unwrap().vqvae.width);
-        assert_eq!(widths, [512, 192, 16]);
+        assert_eq!(widths, [512, 192, 16, 48]);
     }
 
     #[test]
@@ -398,6 +403,7 @@ mod tests {
             "[actor_critic]\nactor_steps = 0",
             "[actor_critic]\ntemperature = -1.0",
             "[adapt]\npieces_per_epoch = 0",
+            "[ablation]\nseparate_halves = true\nwhole_body = true",
             "[gpt.training]\nbetas = [1.0, 0.9]",
         ] {
             assert!(Config::parse(text).is_err(), "{text}");

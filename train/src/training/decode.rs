@@ -5,12 +5,10 @@ use burn_tensor::{Int, Tensor as Device, TensorData};
 use ndarray::Array2;
 
 use super::{
-    Config, Stage, TrainError, keep::read_kept, runner::WEIGHT, velocity::root, vqvae::Trained,
+    Config, FRAMES_PER_CODE, Stage, TrainError, keep::read_kept, runner::WEIGHT, velocity::root,
+    vqvae::Trained,
 };
-use crate::{
-    nn::{DecoderNet, Kernels, Parameters, Store, values},
-    weights::HALF_JOINTS,
-};
+use crate::nn::{DecoderNet, Kernels, Parameters, Store, values};
 
 /// Columns of positions.
 const COLUMNS: usize = 72;
@@ -18,18 +16,24 @@ const COLUMNS: usize = 72;
 /// The decoders of a finished VQ-VAE and its root branch.
 pub(super) struct DanceDecoder<B: Kernels> {
     trained: Trained<B>,
-    root: DecoderNet,
-    root_parameters: Parameters<B>,
+    /// None where the lower half gives the root's columns.
+    root: Option<(DecoderNet, Parameters<B>)>,
+    root_columns: &'static [usize],
     device: B::Device,
 }
 
 impl<B: Kernels> DanceDecoder<B> {
     pub(super) fn read(config: &Config, device: &B::Device) -> Result<Self, TrainError> {
-        let (root, store) = trained_root(config)?;
+        let root = if config.has(Stage::Velocity) {
+            let (root, store) = trained_root(config)?;
+            Some((root, Parameters::from_store(&store, device)))
+        } else {
+            None
+        };
         Ok(Self {
             trained: Trained::read(config, device)?,
             root,
-            root_parameters: Parameters::from_store(&store, device),
+            root_columns: config.data.root_columns(),
             device: device.clone(),
         })
     }
@@ -37,25 +41,20 @@ impl<B: Kernels> DanceDecoder<B> {
     /// World positions of a whole piece from its upper and lower codes, 8 frames a code; none where
     /// a decoder gives what is no number.
     pub(super) fn positions(&self, codes: &[Vec<i32>; 2]) -> Option<Positions> {
-        let [upper, lower] = [0, 1].map(|half| self.entries(codes, half));
-        let parameters = &self.trained.parameters;
-        let [upper_net, lower_net] = &self.trained.halves.nets;
-        let upper = upper_net.decoder.forward(parameters, upper);
-        let root = self.root.forward(&self.root_parameters, lower.clone());
-        let lower = lower_net.decoder.forward(parameters, lower);
-        let [_, frames, root_columns] = root.dims();
         // A fourth column is the dancer's turning: the motion is in the dancer's frame.
-        let turning = root_columns - 3;
+        let turning = self.root_columns.len() - 3;
+        let frames = codes[0].len() * FRAMES_PER_CODE;
         let mut columns = Array2::zeros((frames, COLUMNS + turning));
-        let (upper_joints, lower_joints) = HALF_JOINTS;
-        copy_joints(&mut columns, &values(&upper), &upper_joints);
-        copy_joints(&mut columns, &values(&lower), &lower_joints);
-        let root = values(&root);
-        for (mut row, root) in columns.outer_iter_mut().zip(root.chunks(root_columns)) {
-            for (axis, &value) in root.iter().enumerate() {
-                let column = if axis < 3 { axis } else { COLUMNS };
-                row[column] = value;
-            }
+        let halves = &self.trained.halves;
+        for (half, (net, places)) in halves.nets.iter().zip(&halves.columns).enumerate() {
+            let entries = self.entries(codes, half);
+            let decoded = net.decoder.forward(&self.trained.parameters, entries);
+            fill(&mut columns, &values(&decoded), places);
+        }
+        if let Some((net, parameters)) = &self.root {
+            let decoded = net.forward(parameters, self.entries(codes, 1));
+            let places: Vec<_> = self.root_columns.iter().copied().map(Some).collect();
+            fill(&mut columns, &values(&decoded), &places);
         }
         let world = if turning == 0 {
             columns
@@ -83,13 +82,13 @@ pub(super) fn trained_root(config: &Config) -> Result<(DecoderNet, Store), Train
     Ok((root, store))
 }
 
-/// Puts a half's columns where its joints belong.
-fn copy_joints(columns: &mut Array2<f32>, half: &[f32], joints: &[usize]) {
-    let rows = half.chunks(3 * joints.len());
-    for (mut row, half) in columns.outer_iter_mut().zip(rows) {
-        for (place, &joint) in joints.iter().enumerate() {
-            for axis in 0..3 {
-                row[3 * joint + axis] = half[3 * place + axis];
+/// Puts decoded columns where they belong.
+fn fill(columns: &mut Array2<f32>, decoded: &[f32], places: &[Option<usize>]) {
+    let rows = decoded.chunks(places.len());
+    for (mut row, decoded) in columns.outer_iter_mut().zip(rows) {
+        for (place, &value) in places.iter().zip(decoded) {
+            if let Some(column) = *place {
+                row[column] = value;
             }
         }
     }

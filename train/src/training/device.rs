@@ -2,13 +2,16 @@
 
 use std::{io::Write, path::Path};
 
+use bailando::motion::Positions;
 use burn_autodiff::Autodiff;
 
 use super::{
     Config, Limits, MotionSet, Outcome, Stage, TrainError,
     actor_critic::{ActorCriticWork, Task},
     decode::DanceDecoder,
+    generate::{TestPiece, dances},
     gpt::GptWork,
+    policy::Policy,
     rollout::judge,
     runner::run,
     velocity::VelocityWork,
@@ -29,6 +32,12 @@ pub fn train(
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
+    if !config.has(stage) && stage == Stage::Velocity {
+        return Err(TrainError::LeftOut {
+            what: "velocity",
+            flag: "root_in_pose",
+        });
+    }
     let job = StageJob {
         stage,
         config,
@@ -56,12 +65,29 @@ pub(super) fn learn_from_rewards(
     on_device(&config.run.device, job)
 }
 
-/// What is to be done on whichever device.
-trait Job {
-    fn run_on<A: Trainable>(self, device: &A::Device) -> Result<Outcome, TrainError>;
+/// Dances for pieces of the test split, on the configured device.
+pub(super) fn generate_on_device(
+    config: &Config,
+    policy: &Policy,
+    pieces: &[TestPiece],
+    seed: u64,
+) -> Result<Vec<Option<Positions>>, TrainError> {
+    let job = DanceJob {
+        config,
+        policy,
+        pieces,
+        seed,
+    };
+    on_device(&config.run.device, job)
 }
 
-fn on_device(name: &str, job: impl Job) -> Result<Outcome, TrainError> {
+/// What is to be done on whichever device.
+trait Job {
+    type Done;
+    fn run_on<A: Trainable>(self, device: &A::Device) -> Result<Self::Done, TrainError>;
+}
+
+fn on_device<J: Job>(name: &str, job: J) -> Result<J::Done, TrainError> {
     let unknown = |message: &str| TrainError::Device {
         device: name.to_owned(),
         message: message.to_owned(),
@@ -85,10 +111,7 @@ fn on_device(name: &str, job: impl Job) -> Result<Outcome, TrainError> {
 
 /// An accelerator's library panics where there is no driver: that is an error like any other.
 #[cfg(any(feature = "cuda", feature = "wgpu"))]
-fn guarded(
-    device: &str,
-    job: impl FnOnce() -> Result<Outcome, TrainError>,
-) -> Result<Outcome, TrainError> {
+fn guarded<T>(device: &str, job: impl FnOnce() -> Result<T, TrainError>) -> Result<T, TrainError> {
     let run = std::panic::AssertUnwindSafe(job);
     std::panic::catch_unwind(run).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<String>().map(String::as_str);
@@ -110,6 +133,8 @@ struct StageJob<'a, O> {
 }
 
 impl<O: Write> Job for StageJob<'_, O> {
+    type Done = Outcome;
+
     fn run_on<A: Trainable>(self, device: &A::Device) -> Result<Outcome, TrainError> {
         let (config, set, init) = (self.config, self.set, self.init);
         let (limits, output) = (self.limits, self.output);
@@ -147,10 +172,27 @@ struct RewardJob<'a, O> {
 }
 
 impl<O: Write> Job for RewardJob<'_, O> {
+    type Done = Outcome;
+
     fn run_on<A: Trainable>(self, device: &A::Device) -> Result<Outcome, TrainError> {
         let decoder = DanceDecoder::<A::InnerBackend>::read(self.config, device)?;
         let judge = judge(decoder, self.task.stage.rule());
         let (plan, mut work) = ActorCriticWork::<A>::new(self.config, self.task, judge, device)?;
         run::<A, _>(&plan, &mut work, device, self.limits, self.output)
+    }
+}
+
+struct DanceJob<'a> {
+    config: &'a Config,
+    policy: &'a Policy,
+    pieces: &'a [TestPiece],
+    seed: u64,
+}
+
+impl Job for DanceJob<'_> {
+    type Done = Vec<Option<Positions>>;
+
+    fn run_on<A: Trainable>(self, device: &A::Device) -> Result<Self::Done, TrainError> {
+        dances::<A::InnerBackend>(self.config, self.policy, self.pieces, self.seed, device)
     }
 }

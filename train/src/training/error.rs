@@ -61,6 +61,14 @@ pub enum TrainError {
         /// Its checkpoint.
         path: PathBuf,
     },
+    /// Something that a model with parts left out does not have.
+    #[error("{what}: not with ablation.{flag} (its dances: `bailando-train generate`)")]
+    LeftOut {
+        /// What was asked for.
+        what: &'static str,
+        /// The setting.
+        flag: &'static str,
+    },
     /// A loss is no number.
     #[error(
         "the {column} of {stage} is {value} around step {step}: the run stops here, and the last \

@@ -40,6 +40,7 @@ pub(super) fn write<const N: usize>(
     replace: bool,
     facts: [(&str, serde_json::Value); N],
 ) -> Result<Manifest, TrainError> {
+    config.ablation.refuse("export")?;
     let training = [
         ("seed", config.run.seed.into()),
         ("data", config.data.folder.display().to_string().into()),

@@ -157,13 +157,15 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
         let scale = MusicScale::measure(&set.training, columns, stage.standardise_music);
         let mut store = Store::default();
-        let mut net = GptNet::new(&random(config, columns), &mut store);
+        let mut net = config
+            .ablation
+            .network(&random(config, columns), &mut store);
         if let Some(path) = init {
             let checkpoint = &mut Checkpoint::open(path)?;
             let mut weights = GptWeights::from_checkpoint(checkpoint, stage.heads)?;
             weights.music = scale.unfold(&weights.music);
             let mut found = Store::default();
-            net = GptNet::new(&weights, &mut found);
+            net = config.ablation.network(&weights, &mut found);
             let names = |store: &Store| -> Vec<(String, Vec<usize>)> {
                 let entries = store.entries().iter();
                 entries

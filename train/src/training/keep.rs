@@ -75,10 +75,15 @@ pub(super) fn settings(config: &Config, stage: Stage) -> Result<String, TrainErr
     let own = own.replace(&format!(", keep: {:?}", stage.keep(config)), "");
     let data = &config.data;
     let mut settings = format!(
-        "seed {} frame {:?} mirror {} phases {} {:?} {own}, ",
-        config.run.seed, data.frame, data.mirror, data.phases, data.profile,
+        "{}seed {} frame {:?} mirror {} phases {} {:?} {own}, ",
+        config.ablation.settings(stage),
+        config.run.seed,
+        data.frame,
+        data.mirror,
+        data.phases,
+        data.profile,
     );
-    for &base in stage.bases() {
+    for base in stage.bases(config) {
         let sum = fingerprint(config, base)?;
         settings.push_str(&format!("{} {sum}, ", base.name()));
     }

@@ -1,5 +1,6 @@
 //! The stages of training, from data to a model directory.
 
+mod ablation;
 mod actor_critic;
 mod adam;
 mod adapt;
@@ -10,6 +11,7 @@ mod decode;
 mod device;
 mod error;
 mod export;
+mod generate;
 mod gpt;
 mod input;
 mod keep;
@@ -36,12 +38,14 @@ mod vqvae;
 mod whole;
 mod windows;
 
+pub use ablation::AblationConfig;
 pub use adapt::{Adaptation, adapt, export_adapted};
 pub use bailando::motion::MotionFrame;
 pub use config::{Config, DataConfig, Keep, Schedule, TrainingConfig};
 pub use device::train;
 pub use error::TrainError;
 pub use export::{export, trained_weights};
+pub use generate::generate_test_dances;
 pub use input::{Dances, Load, MotionPiece, MotionSet, SongRows};
 pub use reward::{BeatReward, Reward, RewardRule};
 pub use runner::{Limits, Outcome};

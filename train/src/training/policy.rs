@@ -69,7 +69,8 @@ impl Policy {
             spread: saved.tensor("music.spread")?.data().to_vec(),
         };
         let mut store = Store::default();
-        let net = GptNet::new(&random(config, scale.mean.len()), &mut store);
+        let weights = random(config, scale.mean.len());
+        let net = config.ablation.network(&weights, &mut store);
         let pairs = saved.tensor("start_codes")?.data().as_chunks::<2>().0;
         let pairs = pairs.iter().map(|pair| pair.map(|code| code as u32));
         let mut critic_store = Store::default();

@@ -124,14 +124,8 @@ impl Repertoire {
     ) -> Rollout {
         let excerpts = self.excerpts(epoch);
         let wishes = excerpts.iter().enumerate().map(|(piece, &excerpt)| {
-            let mut random = generator(self.seed ^ PIECES, epoch << 32 | piece as u64);
-            let start = (unit(&mut random) * starts.len() as f64) as usize;
-            let start = starts.get(start).copied().unwrap_or_default();
-            Wish {
-                music: self.music(excerpt),
-                start: start.map(|code| code as i32),
-                random,
-            }
+            let random = generator(self.seed ^ PIECES, epoch << 32 | piece as u64);
+            Wish::new(self.music(excerpt), starts, random)
         });
         let mut wishes = wishes.peekable();
         let mut codes = Vec::with_capacity(excerpts.len());

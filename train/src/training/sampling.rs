@@ -16,6 +16,23 @@ pub(super) struct Wish<'a> {
     pub(super) random: ChaCha8Rng,
 }
 
+impl<'a> Wish<'a> {
+    /// A piece that starts with one of `starts`.
+    pub(super) fn new(
+        music: ArrayView2<'a, f32>,
+        starts: &[[u32; 2]],
+        mut random: ChaCha8Rng,
+    ) -> Self {
+        let start = (unit(&mut random) * starts.len() as f64) as usize;
+        let start = starts.get(start).copied().unwrap_or_default();
+        Self {
+            music,
+            start: start.map(|code| code as i32),
+            random,
+        }
+    }
+}
+
 /// How codes are drawn.
 pub(super) struct Sampler<'a, B: Kernels> {
     pub(super) net: &'a GptNet,
@@ -44,12 +61,19 @@ impl<B: Kernels> Sampler<'_, B> {
                 .collect();
             let logits = self.logits(&wishes, &pieces, &unfinished, known);
             for (place, &piece) in unfinished.iter().enumerate() {
-                for (half, logits) in logits.iter().enumerate() {
+                let mut next = |logits: &[f32]| {
                     let vocabulary = logits.len() / unfinished.len();
                     let logits = &logits[place * vocabulary..][..vocabulary];
-                    let code = draw(logits, self.temperature, &mut wishes[piece].random);
-                    pieces[piece][half].push(code as i32);
-                }
+                    draw(logits, self.temperature, &mut wishes[piece].random) as i32
+                };
+                let upper = next(&logits[0]);
+                let lower = match self.net.has_one_code() {
+                    true => upper,
+                    false => next(&logits[1]),
+                };
+                let [upper_codes, lower_codes] = &mut pieces[piece];
+                upper_codes.push(upper);
+                lower_codes.push(lower);
             }
         }
         pieces

@@ -41,12 +41,13 @@ impl Stage {
     }
 
     /// The stages whose weights it builds on.
-    pub(super) fn bases(self) -> &'static [Self] {
-        match self {
+    pub(super) fn bases(self, config: &Config) -> impl Iterator<Item = Self> {
+        let bases: &[Self] = match self {
             Self::VqVae => &[],
             Self::Velocity | Self::Gpt => &[Self::VqVae],
             Self::ActorCritic => &[Self::VqVae, Self::Velocity, Self::Gpt],
-        }
+        };
+        bases.iter().copied().filter(|&base| config.has(base))
     }
 
     /// Which of its checkpoints is used afterwards.

@@ -9,7 +9,10 @@ use ndarray::{Array2, Axis, Slice};
 
 use super::{
     codes::{Augmentation, Codes},
+    generate::{TestPiece, codes as generated_codes, dances},
     gpt::GptWork,
+    metrics::read_series,
+    policy::Policy,
     runner::Work,
     saved::Saved,
     velocity::VelocityWork,
@@ -75,7 +78,13 @@ fn codes<B: crate::nn::Kernels<Device = FlexDevice>>(
     };
     let piece = std::slice::from_ref(piece);
     [0, 1].map(|half| {
-        let motion = half_crops(piece, &[whole], frames, half, &FlexDevice);
+        let motion = half_crops(
+            piece,
+            &[whole],
+            frames,
+            &frozen.halves.columns[half],
+            &FlexDevice,
+        );
         let net = &frozen.halves.nets[half];
         let codes = net.encode(&frozen.parameters, &frozen.codebooks[half], motion);
         codes.into_data().iter::<i32>().collect()
@@ -222,5 +231,130 @@ fn without_test_dances_there_is_no_test_loss() {
         let parameters = Parameters::<Flex>::from_store(&plan.store, &FlexDevice);
         work.step(&parameters.tracked(), 0);
         assert_eq!(work.test(&parameters), None);
+    }
+}
+
+/// A run with parts left out, up to its GPT.
+fn trained(folder: &Path, ablation: AblationConfig) -> Config {
+    let mut config = config(folder);
+    config.ablation = ablation;
+    (config.data.mirror, config.data.phases) = (false, 1);
+    config.run.log_steps = 1;
+    (config.velocity.training.steps, config.gpt.training.steps) = (3, 3);
+    let set = MotionSet {
+        training: whole(FRAMES),
+        test: Some(whole(FRAMES)),
+        songs: Vec::new(),
+    };
+    for stage in [Stage::VqVae, Stage::Velocity, Stage::Gpt] {
+        let log = &mut Vec::new();
+        let outcome = train(stage, &config, &set, None, Limits::default(), log);
+        if config.has(stage) {
+            assert_eq!(outcome.unwrap(), Outcome::Finished);
+        } else {
+            assert!(matches!(outcome, Err(TrainError::LeftOut { .. })));
+        }
+    }
+    config
+}
+
+/// Its codes and its dance for some music.
+fn generated(config: &Config) -> ([Vec<i32>; 2], Positions) {
+    let policy = Policy::latest(config).unwrap();
+    let music = Array2::from_shape_fn((40, 3), |(row, column)| ((row + column) as f32).sin());
+    let pieces = ["one", "two"].map(|id| TestPiece::new(id, music.clone()));
+    let found = dances::<Flex>(config, &policy, &pieces, 3, &FlexDevice).unwrap();
+    let alone = dances::<Flex>(config, &policy, &pieces[1..], 3, &FlexDevice).unwrap();
+    let other = dances::<Flex>(config, &policy, &pieces[1..], 4, &FlexDevice).unwrap();
+    assert_eq!(found[1], alone[0], "beside another piece");
+    assert!(found[0] != found[1] && alone != other);
+    let codes = generated_codes::<Flex>(config, &policy, &pieces, 3, &FlexDevice);
+    let dance = found[0].clone().unwrap();
+    assert_eq!(dance.dim(), (39 * FRAMES_PER_CODE, 24, 3));
+    assert!(dance.iter().all(|value| value.is_finite()));
+    (codes[0].clone(), dance)
+}
+
+/// How far the root goes in all, in metres.
+fn path(dance: &Positions) -> f32 {
+    let frames = 1..dance.len_of(Axis(0));
+    let step = |frame: usize, axis| dance[[frame, 0, axis]] - dance[[frame - 1, 0, axis]];
+    let steps = frames.map(|frame| [0, 1, 2].map(|axis| step(frame, axis).powi(2)));
+    steps
+        .map(|squares| squares.iter().sum::<f32>().sqrt())
+        .sum()
+}
+
+#[test]
+fn runs_with_parts_left_out_learn_and_dance() {
+    let whole = AblationConfig::default();
+    let cases = [
+        whole,
+        AblationConfig {
+            separate_halves: true,
+            ..whole
+        },
+        AblationConfig {
+            root_in_pose: true,
+            ..whole
+        },
+        AblationConfig {
+            whole_body: true,
+            ..whole
+        },
+        AblationConfig {
+            whole_body: true,
+            root_in_pose: true,
+            ..whole
+        },
+    ];
+    for ablation in cases {
+        let folder = tempfile::tempdir().unwrap();
+        let config = trained(folder.path(), ablation);
+        assert_eq!(
+            folder.path().join("velocity").exists(),
+            !ablation.root_in_pose
+        );
+        let (codes, dance) = generated(&config);
+        assert_eq!(codes[0] == codes[1], ablation.whole_body, "{ablation:?}");
+        assert!(path(&dance) > 0.01, "{ablation:?}: the root stands still");
+
+        let series = read_series(&folder.path().join("vqvae/metrics.csv")).unwrap();
+        let value = |name: &str| series[name][0].1;
+        let (upper, lower) = (value("upper_loss"), value("lower_loss"));
+        let sum = if ablation.whole_body {
+            assert_eq!(upper, lower);
+            upper
+        } else {
+            upper + lower
+        };
+        assert!((value("loss") - sum).abs() < 1e-5 * sum, "{ablation:?}");
+
+        if ablation != whole {
+            let refused = export(&config, false).unwrap_err();
+            assert!(matches!(refused, TrainError::LeftOut { .. }), "{refused}");
+        }
+    }
+}
+
+#[test]
+fn the_pose_may_include_the_roots_motion() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path());
+    config.ablation.root_in_pose = true;
+    let piece = piece(dance(40, 1), 0, 0);
+    let draw = Draw {
+        dance: 0,
+        song: 0,
+        phase: 0,
+        start: 8,
+        mirrored: true,
+    };
+    let [_, lower] = config.pose_columns();
+    let crop = half_crops::<Flex>(&[piece.clone()], &[draw], 8, &lower, &FlexDevice);
+    for (frame, row) in values(&crop).chunks(lower.len()).enumerate() {
+        let value = |column| piece.value(8 + frame, column, true);
+        assert_eq!(row[..3], [value(0), value(1), value(2)]);
+        assert_eq!(row[lower.len() - 1], value(72), "the turn");
     }
 }

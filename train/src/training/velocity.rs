@@ -79,9 +79,10 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
         windows: &[Draw],
     ) -> [Device<A::InnerBackend, 3>; 2] {
         let frames = self.config.velocity.frames;
-        let lower = half_crops(pieces, windows, frames, 1, &self.device);
+        let halves = &self.frozen.halves;
+        let ([_, columns], [_, half]) = (&halves.columns, &halves.nets);
+        let lower = half_crops(pieces, windows, frames, columns, &self.device);
         let [_, codebook] = &self.frozen.codebooks;
-        let [_, half] = &self.frozen.halves.nets;
         let codes = half.encode(&self.frozen.parameters, codebook, lower);
         let entries = codebook.lookup(codes);
         let [rows, channels] = entries.dims();

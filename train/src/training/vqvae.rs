@@ -19,7 +19,7 @@ use crate::{
         Codebook, HalfNet, MovingAverage, Parameters, Store, Trainable, VqVaeSizes, random_vqvae,
         values,
     },
-    weights::{HALF_JOINTS, VqVaeWeights},
+    weights::VqVaeWeights,
 };
 
 /// Names of the halves in files.
@@ -32,29 +32,38 @@ pub(super) struct Halves {
     pub(super) nets: [HalfNet; 2],
     pub(super) store: Store,
     pub(super) weights: VqVaeWeights,
+    /// Motion columns of each; `None` is always zero.
+    pub(super) columns: [Vec<Option<usize>>; 2],
 }
 
 impl Halves {
-    pub(super) fn new(weights: VqVaeWeights) -> Self {
+    pub(super) fn new(config: &Config, weights: VqVaeWeights) -> Self {
         let mut store = Store::default();
         let [upper, lower] = HALVES;
         let upper = HalfNet::new(upper, &weights.upper, &mut store);
-        let lower = HalfNet::new(lower, &weights.lower, &mut store);
+        let lower = match config.ablation.whole_body {
+            // One network stands in both places.
+            true => upper.clone(),
+            false => HalfNet::new(lower, &weights.lower, &mut store),
+        };
         Self {
             nets: [upper, lower],
             store,
             weights,
+            columns: config.pose_columns(),
         }
     }
 
     pub(super) fn random(config: &Config) -> Self {
+        let columns = config.pose_columns();
         let sizes = VqVaeSizes {
+            half_columns: columns.map(|columns| columns.len()),
             width: config.vqvae.width,
             embedding: config.vqvae.embedding,
             codes: config.vqvae.codes,
             root_columns: config.data.root_columns().len(),
         };
-        Self::new(random_vqvae(sizes, config.run.seed))
+        Self::new(config, random_vqvae(sizes, config.run.seed))
     }
 }
 
@@ -94,27 +103,23 @@ fn read_codebook<B: Backend>(
     Ok(Codebook::from_state(state, device))
 }
 
-/// The crops' columns of one half, `[batch, frames, columns]`, the root's zero.
+/// Some of the crops' columns, `[batch, frames, columns]`; `None` is zero.
 pub(super) fn half_crops<B: Backend>(
     pieces: &[MotionPiece],
     windows: &[Draw],
     frames: usize,
-    half: usize,
+    columns: &[Option<usize>],
     device: &B::Device,
 ) -> Device<B, 3> {
-    let (upper, lower) = HALF_JOINTS;
-    let joints: &[usize] = if half == 0 { &upper } else { &lower };
-    let mut values = Vec::with_capacity(windows.len() * frames * 3 * joints.len());
+    let mut values = Vec::with_capacity(windows.len() * frames * columns.len());
     for window in windows {
         let piece = &pieces[window.dance];
         for frame in window.frames(frames) {
-            for &joint in joints {
-                let column = |axis| piece.value(frame, 3 * joint + axis, window.mirrored);
-                values.extend((0..3).map(|axis| if joint == 0 { 0.0 } else { column(axis) }));
-            }
+            let value = |column| piece.value(frame, column, window.mirrored);
+            values.extend(columns.iter().map(|column| column.map_or(0.0, value)));
         }
     }
-    let shape = [windows.len(), frames, 3 * joints.len()];
+    let shape = [windows.len(), frames, columns.len()];
     Device::from_data(TensorData::new(values, shape), device)
 }
 
@@ -151,6 +156,7 @@ pub(super) struct VqVaeWork<'a, A: Trainable> {
     set: &'a MotionSet,
     windows: Windows,
     nets: [HalfNet; 2],
+    columns: [Vec<Option<usize>>; 2],
     codebooks: [Option<Codebook<A::InnerBackend>>; 2],
     device: A::Device,
 }
@@ -167,7 +173,7 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
         let mut codebooks = [None, None];
         if let Some(path) = init {
             let weights = VqVaeWeights::from_checkpoint(&mut Checkpoint::open(path)?)?;
-            let found = Halves::new(weights);
+            let found = Halves::new(config, weights);
             let shapes = |store: &Store| -> Vec<Vec<usize>> {
                 store
                     .entries()
@@ -214,6 +220,7 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
             set,
             windows,
             nets: halves.nets,
+            columns: halves.columns,
             codebooks,
             device: device.clone(),
         };
@@ -230,7 +237,8 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
     ) -> (Device<A, 1>, Vec<Device<A::InnerBackend, 1>>) {
         let stage = &self.config.vqvae;
         let pieces = self.set.training.pieces();
-        let target = half_crops::<A>(pieces, windows, stage.frames, half, &self.device);
+        let columns = &self.columns[half];
+        let target = half_crops::<A>(pieces, windows, stage.frames, columns, &self.device);
         let net = &self.nets[half];
         let encoded = net.encoder.forward(parameters, target.clone());
         let [batch, codes, channels] = encoded.dims();
@@ -283,7 +291,8 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
         (pieces, crops): (&[MotionPiece], &[Draw]),
     ) -> [Device<A::InnerBackend, 1>; 2] {
         let frames = self.config.vqvae.frames;
-        let target = half_crops::<A::InnerBackend>(pieces, crops, frames, half, &self.device);
+        let columns = &self.columns[half];
+        let target = half_crops::<A::InnerBackend>(pieces, crops, frames, columns, &self.device);
         let net = &self.nets[half];
         let encoded = net.encoder.forward(parameters, target.clone());
         let [batch, codes, channels] = encoded.dims();
@@ -316,10 +325,16 @@ impl<A: Trainable> Work<A> for VqVaeWork<'_, A> {
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
         let windows = self.windows.batch(step, self.config.vqvae.training.batch);
-        let (upper, mut metrics) = self.half(0, parameters, &windows, step);
-        let (lower, lower_metrics) = self.half(1, parameters, &windows, step);
-        let loss = upper + lower;
-        metrics.insert(0, loss.clone().inner());
+        let (upper, upper_metrics) = self.half(0, parameters, &windows, step);
+        let (loss, lower_metrics) = if self.config.ablation.whole_body {
+            self.codebooks[1] = self.codebooks[0].clone();
+            (upper, upper_metrics.clone())
+        } else {
+            let (lower, metrics) = self.half(1, parameters, &windows, step);
+            (upper + lower, metrics)
+        };
+        let mut metrics = vec![loss.clone().inner()];
+        metrics.extend(upper_metrics);
         metrics.extend(lower_metrics);
         Losses { loss, metrics }
     }
@@ -338,6 +353,9 @@ impl<A: Trainable> Work<A> for VqVaeWork<'_, A> {
             let half =
                 |half, codebook| self.test_half(half, codebook, parameters, (test.pieces(), crops));
             let [upper_loss, upper_position] = half(0, upper);
+            if self.config.ablation.whole_body {
+                return [upper_loss, upper_position.clone(), upper_position];
+            }
             let [lower_loss, lower_position] = half(1, lower);
             [upper_loss + lower_loss, upper_position, lower_position]
         })

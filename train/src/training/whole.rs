@@ -3,8 +3,8 @@
 use std::{io::Write, time::Instant};
 
 use super::{
-    Config, Limits, Load, MotionSet, Outcome, Stage, TrainError, export, export::is_exported,
-    keep::is_finished, train,
+    AblationConfig, Config, Limits, Load, MotionSet, Outcome, Stage, TrainError, export,
+    export::is_exported, keep::is_finished, train,
 };
 use crate::export::check_target;
 
@@ -25,13 +25,14 @@ pub fn run_all(
     let mut known = None;
     // As for a single stage, reading is not counted: every call gets some steps done.
     let mut spent = 0.0;
-    let wanted = |stage: &Stage| *stage != Stage::ActorCritic || config.actor_critic.enabled;
-    for stage in Stage::ALL.into_iter().filter(wanted) {
+    for stage in Stage::ALL.into_iter().filter(|&stage| config.has(stage)) {
         if is_finished(config, stage)? {
             tell(output, &format!("{}: finished before", stage.name()));
             continue;
         }
-        check_target(&config.export.folder, replace)?;
+        if config.ablation == AblationConfig::default() {
+            check_target(&config.export.folder, replace)?;
+        }
         let set = read_once(&mut known, stage.load(), config, output)?;
         let limits = Limits {
             seconds: seconds.map(|most| most - spent),
@@ -42,6 +43,13 @@ pub fn run_all(
             return Ok(Outcome::Paused);
         }
         spent += start.elapsed().as_secs_f64();
+    }
+    if config.ablation != AblationConfig::default() {
+        tell(
+            output,
+            "export: left out, as parts of the model are ([ablation])",
+        );
+        return Ok(Outcome::Finished);
     }
     let folder = config.export.folder.display();
     if !replace && is_exported(config)? {

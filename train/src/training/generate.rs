@@ -1,0 +1,157 @@
+//! Dances of a finished run for the songs of the test split, as they are decoded: what is needed
+//! to judge a run that has no export.
+
+use std::{fs, io::Write, path::Path};
+
+use bailando::motion::Positions;
+use ndarray::Array2;
+use ndarray_npy::WriteNpyExt;
+
+use super::{
+    Config, TrainError,
+    decode::DanceDecoder,
+    device::generate_on_device,
+    policy::Policy,
+    sampling::{Sampler, Wish},
+    saved::replace_file,
+    songs::song_rows,
+    windows::generator,
+};
+use crate::{
+    data::{Dataset, Evaluation, MusicSource, OpenOptions, Portion},
+    nn::{Kernels, Parameters},
+};
+
+/// Pieces that are generated side by side.
+const PIECES_AT_ONCE: usize = 64;
+/// A generator's seed for this purpose.
+const PIECES: u64 = 0x7465_7374;
+
+/// A piece of the test split that has music.
+pub(super) struct TestPiece {
+    id: String,
+    /// `[rows, columns]`, not scaled.
+    rows: Array2<f32>,
+}
+
+#[cfg(test)]
+impl TestPiece {
+    pub(super) fn new(id: &str, rows: Array2<f32>) -> Self {
+        let id = id.to_owned();
+        Self { id, rows }
+    }
+}
+
+/// Writes a dance for every piece of the test split that has music, `folder/<id>.npy`,
+/// `[frames, 24, 3]` at 60 a second, and returns how many. The root starts at the origin. The
+/// policy is the one that an export would take, at the same temperature.
+///
+/// # Errors
+/// [`TrainError::StageMissing`] where the run is not finished; what cannot be read or written.
+pub fn generate_test_dances(
+    config: &Config,
+    seed: u64,
+    folder: &Path,
+    output: &mut impl Write,
+) -> Result<usize, TrainError> {
+    let policy = Policy::latest(config)?;
+    let pieces = test_pieces(config, output)?;
+    fs::create_dir_all(folder).map_err(TrainError::file(folder))?;
+    for some in pieces.chunks(PIECES_AT_ONCE) {
+        let dances = generate_on_device(config, &policy, some, seed)?;
+        for (piece, dance) in some.iter().zip(dances) {
+            write(folder, &piece.id, dance)?;
+        }
+    }
+    Ok(pieces.len())
+}
+
+fn test_pieces(config: &Config, output: &mut impl Write) -> Result<Vec<TestPiece>, TrainError> {
+    let data = &config.data;
+    let options = OpenOptions {
+        audio: data.audio_folder().map(Into::into),
+    };
+    let test: Portion<Evaluation> = Dataset::open(&data.folder, &options)?.evaluation()?;
+    let songs = test.dances().iter().flat_map(|dance| dance.songs());
+    let songs: Vec<(&String, &MusicSource)> = songs
+        .filter_map(|song| Some((&song.id, song.music.as_ref()?)))
+        .collect();
+    let wanted = songs.iter().map(|&(_, music)| (music.clone(), 1));
+    let known = song_rows(data, wanted.collect(), output)?;
+    let mut pieces = Vec::with_capacity(songs.len());
+    for (id, music) in songs {
+        let failed = |message: &str| TrainError::Data {
+            path: data.folder.clone(),
+            message: format!("piece `{id}` {message}"),
+        };
+        if Path::new(id).file_name() != Some(id.as_ref()) {
+            return Err(failed("cannot be the name of a file"));
+        }
+        let rows = known.get(music).map(|rows| rows.phase(0));
+        let rows = rows.filter(|rows| rows.nrows() > 1);
+        pieces.push(TestPiece {
+            id: id.clone(),
+            rows: rows.ok_or_else(|| failed("has too little music"))?.clone(),
+        });
+    }
+    Ok(pieces)
+}
+
+/// The dances; none where a decoder gives what is no number. A piece comes out the same beside
+/// any others.
+pub(super) fn dances<B: Kernels>(
+    config: &Config,
+    policy: &Policy,
+    pieces: &[TestPiece],
+    seed: u64,
+    device: &B::Device,
+) -> Result<Vec<Option<Positions>>, TrainError> {
+    let decoder = DanceDecoder::<B>::read(config, device)?;
+    let codes = codes::<B>(config, policy, pieces, seed, device);
+    Ok(codes.iter().map(|codes| decoder.positions(codes)).collect())
+}
+
+/// Upper and lower codes of each piece.
+pub(super) fn codes<B: Kernels>(
+    config: &Config,
+    policy: &Policy,
+    pieces: &[TestPiece],
+    seed: u64,
+    device: &B::Device,
+) -> Vec<[Vec<i32>; 2]> {
+    let sampler = Sampler {
+        net: &policy.net,
+        parameters: &Parameters::<B>::from_store(&policy.store, device),
+        temperature: f64::from(config.export.temperature),
+    };
+    let scaled: Vec<Array2<f32>> = pieces
+        .iter()
+        .map(|piece| policy.scaled(&piece.rows))
+        .collect();
+    let wishes = pieces.iter().zip(&scaled).map(|(piece, music)| {
+        let random = generator(seed ^ PIECES, name_number(&piece.id));
+        Wish::new(music.view(), &policy.starts, random)
+    });
+    sampler.generate(wishes.collect())
+}
+
+/// Tells pieces apart by their names (FNV-1a): other pieces in a data folder change nothing.
+fn name_number(id: &str) -> u64 {
+    id.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
+    })
+}
+
+fn write(folder: &Path, id: &str, dance: Option<Positions>) -> Result<(), TrainError> {
+    let path = folder.join(format!("{id}.npy"));
+    let failed = |message: String| TrainError::State {
+        path: path.clone(),
+        message,
+    };
+    let dance = dance.ok_or_else(|| failed("the dance is not of numbers".into()))?;
+    let mut bytes = Vec::new();
+    dance
+        .write_npy(&mut bytes)
+        .map_err(|error| failed(error.to_string()))?;
+    replace_file(&path, &bytes).map_err(TrainError::file(&path))
+}
