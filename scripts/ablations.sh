@@ -143,4 +143,6 @@ variant separate_halves "vqvae velocity" "gpt actor-critic" separate_halves=true
 variant whole_body "" "$all" whole_body=true
 variant root_in_pose "" "vqvae gpt actor-critic" root_in_pose=true
 variant position_loss "" "$all" velocity_weight=0.0 acceleration_weight=0.0
+# Regression has no policy to reward: compare it with no_actor_critic.
+variant continuous "" "vqvae velocity gpt" continuous=true enabled=false
 table "${names[@]}"

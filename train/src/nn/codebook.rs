@@ -70,6 +70,12 @@ impl<B: Backend> Codebook<B> {
         }
     }
 
+    /// The entries, `[codes, channels]`.
+    #[must_use]
+    pub fn entries(&self) -> &Device<B, 2> {
+        &self.entries
+    }
+
     /// Number of entries.
     #[must_use]
     pub fn codes(&self) -> usize {

@@ -126,6 +126,22 @@ impl GptNet {
         self.policy(parameters, states, layers, dropout)
     }
 
+    /// The same for vectors `[batch, steps, n]` in place of codes, where the vocabulary is `n`: their
+    /// columns weigh the rows of the embedding tables, and the scores are the next vectors.
+    pub fn regress<B: Backend>(
+        &self,
+        parameters: &Parameters<B>,
+        music: Device<B, 3>,
+        [upper, lower]: [Device<B, 3>; 2],
+        dropout: f64,
+    ) -> Logits<B> {
+        let upper = multiplied(upper, parameters.matrix(self.upper_embedding));
+        let lower = multiplied(lower, parameters.matrix(self.lower_embedding));
+        let layers = self.blocks.len();
+        let states = self.embedded_states(parameters, music, [upper, lower], layers, dropout);
+        self.policy(parameters, states, layers, dropout)
+    }
+
     /// What the state network makes of music and codes, `[batch, 3 * steps, channels]`: its blocks
     /// are the first `layers`.
     pub fn states<B: Kernels>(
@@ -137,7 +153,6 @@ impl GptNet {
         dropout: f64,
     ) -> Device<B, 3> {
         let [batch, steps, _] = music.dims();
-        let music = self.music.forward(parameters, music);
         let [upper, lower] = codes;
         let embedded = |slot, codes: Device<B, 2, Int>| {
             let rows = parameters
@@ -148,6 +163,19 @@ impl GptNet {
         };
         let upper = embedded(self.upper_embedding, upper);
         let lower = embedded(self.lower_embedding, lower);
+        self.embedded_states(parameters, music, [upper, lower], layers, dropout)
+    }
+
+    fn embedded_states<B: Backend>(
+        &self,
+        parameters: &Parameters<B>,
+        music: Device<B, 3>,
+        [upper, lower]: [Device<B, 3>; 2],
+        layers: usize,
+        dropout: f64,
+    ) -> Device<B, 3> {
+        let [_, steps, _] = music.dims();
+        let music = self.music.forward(parameters, music);
         let tokens =
             Device::cat(vec![music, upper, lower], 1) + self.position_rows(parameters, steps);
         let context = self.attention(steps, dropout, parameters);
@@ -250,6 +278,31 @@ mod tests {
             assert_eq!(with_other_upper == lower, separate);
             let [upper_to_other, lower_to_other] = scores(form, [0, 2, 3]);
             assert!(upper_to_other != upper && lower_to_other != lower);
+        }
+    }
+
+    #[test]
+    fn a_vector_with_a_single_one_is_a_code() {
+        let sizes = GptSizes {
+            channels: 8,
+            heads: 2,
+            layers: 2,
+            block: 2,
+            codes: [3, 3],
+            columns: 4,
+        };
+        let mut store = Store::default();
+        let net = GptNet::new(&random_gpt(sizes, 7), &mut store);
+        let parameters = Parameters::<Flex>::from_store(&store, &FlexDevice);
+        let music = Device::full([1, 2, 4], 0.5, &FlexDevice);
+        let codes = [[[2, 0]], [[1, 1]]].map(|codes| Device::from_ints(codes, &FlexDevice));
+        let upper = Device::from_floats([[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]], &FlexDevice);
+        let lower = Device::from_floats([[[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]], &FlexDevice);
+        let wanted = net.forward(&parameters, music.clone(), codes, 0.0);
+        let found = net.regress(&parameters, music, [upper, lower], 0.0);
+        for (found, wanted) in [(found.upper, wanted.upper), (found.lower, wanted.lower)] {
+            let pairs = values(&found).into_iter().zip(values(&wanted));
+            pairs.for_each(|(found, wanted)| assert!((found - wanted).abs() < 1e-6));
         }
     }
 

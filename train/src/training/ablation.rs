@@ -17,6 +17,7 @@ pub struct AblationConfig {
     pub whole_body: bool,
     pub root_in_pose: bool,
     pub separate_halves: bool,
+    pub continuous: bool,
 }
 
 impl AblationConfig {
@@ -25,15 +26,22 @@ impl AblationConfig {
             ("whole_body", self.whole_body),
             ("root_in_pose", self.root_in_pose),
             ("separate_halves", self.separate_halves),
+            ("continuous", self.continuous),
         ];
         flags
             .into_iter()
             .filter_map(|(name, set)| set.then_some(name))
     }
 
-    pub(super) fn check(self) -> Result<(), String> {
+    pub(super) fn check(self, rewards: bool) -> Result<(), String> {
         if self.whole_body && self.separate_halves {
             return Err("whole_body leaves no halves to separate".into());
+        }
+        if self.continuous && rewards {
+            return Err(
+                "continuous has no probabilities to reward: set actor_critic.enabled = false"
+                    .into(),
+            );
         }
         Ok(())
     }
@@ -120,8 +128,9 @@ mod tests {
         let whole = settings(&config(""), Stage::VqVae).unwrap();
         assert!(whole.starts_with("seed 1 frame World mirror false phases 1 "));
         assert!(!whole.contains("ablation"), "{whole}");
-        for flag in ["whole_body", "root_in_pose"] {
-            let without = settings(&config(&format!("{flag} = true")), Stage::VqVae).unwrap();
+        for flag in ["whole_body", "root_in_pose", "continuous"] {
+            let text = format!("{flag} = true\n[actor_critic]\nenabled = false");
+            let without = settings(&config(&text), Stage::VqVae).unwrap();
             assert_eq!(without, format!("ablation {flag} {whole}"));
         }
         // What it does not concern can be shared with the whole model.

@@ -9,7 +9,10 @@ use super::{
     input::MotionPiece,
     vqvae::{Trained, half_crops},
 };
-use crate::{data::Draw, nn::Kernels};
+use crate::{
+    data::Draw,
+    nn::{Kernels, values},
+};
 
 /// Dances between two lines of progress.
 const DANCES_A_LINE: usize = 16;
@@ -28,6 +31,9 @@ struct Variants {
     phases: usize,
     /// All phases as they are, then all phases in the mirror.
     codes: Vec<Pair>,
+    /// What the encoders gave for the same, one code's values after the other's; only where
+    /// wanted.
+    vectors: Vec<[Vec<f32>; 2]>,
 }
 
 /// Which variants there are.
@@ -35,6 +41,8 @@ struct Variants {
 pub(super) struct Augmentation {
     pub(super) mirror: bool,
     pub(super) phases: usize,
+    /// Whether what the encoders gave is kept beside the codes.
+    pub(super) vectors: bool,
 }
 
 impl Codes {
@@ -61,6 +69,12 @@ impl Codes {
     pub(super) fn of(&self, window: &Draw) -> &Pair {
         let dance = &self.dances[window.dance];
         &dance.codes[usize::from(window.mirrored) * dance.phases + window.phase]
+    }
+
+    /// The vectors behind these codes.
+    pub(super) fn vectors_of(&self, window: &Draw) -> &[Vec<f32>; 2] {
+        let dance = &self.dances[window.dance];
+        &dance.vectors[usize::from(window.mirrored) * dance.phases + window.phase]
     }
 
     /// The first codes of every dance and mirror image.
@@ -95,6 +109,8 @@ fn variants<B: Kernels>(
     let all: Vec<Draw> = all.collect();
     let length = |draw: &Draw| piece.frames().saturating_sub(draw.phase) / FRAMES_PER_CODE;
     let mut codes = vec![Pair::default(); all.len()];
+    let kept = if wanted.vectors { all.len() } else { 0 };
+    let mut vectors: Vec<[Vec<f32>; 2]> = vec![Default::default(); kept];
     // Cutting frames off leaves one of two lengths; encoders take only equal ones together.
     for codes_each in [length(&all[0]), length(&all[0]).saturating_sub(1)] {
         let frames = codes_each * FRAMES_PER_CODE;
@@ -107,13 +123,28 @@ fn variants<B: Kernels>(
                 let piece = std::slice::from_ref(piece);
                 let motion = half_crops(piece, &draws, frames, columns, device);
                 let (net, table) = (&frozen.halves.nets[half], &frozen.codebooks[half]);
-                let found = net.encode(&frozen.parameters, table, motion);
-                let found: Vec<i32> = found.into_data().iter::<i32>().collect();
-                for (&place, found) in places.iter().zip(found.chunks(codes_each)) {
-                    codes[place][half] = found.to_vec();
+                let found = net.encoder.forward(&frozen.parameters, motion);
+                let [batch, codes_found, channels] = found.dims();
+                let flat = found.clone().reshape([batch * codes_found, channels]);
+                let nearest = table.nearest(flat);
+                let nearest: Vec<i32> = nearest.into_data().iter::<i32>().collect();
+                for (&place, nearest) in places.iter().zip(nearest.chunks(codes_each)) {
+                    codes[place][half] = nearest.to_vec();
+                }
+                let found = if wanted.vectors {
+                    values(&found)
+                } else {
+                    Vec::new()
+                };
+                for (&place, found) in places.iter().zip(found.chunks(codes_each * channels)) {
+                    vectors[place][half] = found.to_vec();
                 }
             }
         }
     }
-    Variants { phases, codes }
+    Variants {
+        phases,
+        codes,
+        vectors,
+    }
 }

@@ -267,7 +267,7 @@ impl Config {
             .check()
             .map_err(|message| format!("actor_critic: {message}"))?;
         self.ablation
-            .check()
+            .check(self.actor_critic.enabled)
             .map_err(|message| format!("ablation: {message}"))?;
         let sizes = [
             ("vqvae.width", self.vqvae.width),
@@ -404,6 +404,7 @@ mod tests {
             "[actor_critic]\ntemperature = -1.0",
             "[adapt]\npieces_per_epoch = 0",
             "[ablation]\nseparate_halves = true\nwhole_body = true",
+            "[ablation]\ncontinuous = true",
             "[gpt.training]\nbetas = [1.0, 0.9]",
         ] {
             assert!(Config::parse(text).is_err(), "{text}");

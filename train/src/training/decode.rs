@@ -41,18 +41,39 @@ impl<B: Kernels> DanceDecoder<B> {
     /// World positions of a whole piece from its upper and lower codes, 8 frames a code; none where
     /// a decoder gives what is no number.
     pub(super) fn positions(&self, codes: &[Vec<i32>; 2]) -> Option<Positions> {
+        self.decoded([0, 1].map(|half| self.entries(codes, half)))
+    }
+
+    /// The same from vectors in place of codebook entries, one code's values after the other's.
+    pub(super) fn positions_of_vectors(&self, vectors: [Vec<f32>; 2]) -> Option<Positions> {
+        let [_, channels] = self.trained.codebooks[0].entries().dims();
+        self.decoded(vectors.map(|vectors| {
+            let shape = [1, vectors.len() / channels, channels];
+            Device::from_data(TensorData::new(vectors, shape), &self.device)
+        }))
+    }
+
+    /// The codebook entries of upper and lower code.
+    pub(super) fn pair(&self, codes: [i32; 2]) -> [Vec<f32>; 2] {
+        let codes = codes.map(|code| vec![code]);
+        [0, 1].map(|half| values(&self.entries(&codes, half)))
+    }
+
+    fn decoded(&self, embedded: [Device<B, 3>; 2]) -> Option<Positions> {
         // A fourth column is the dancer's turning: the motion is in the dancer's frame.
         let turning = self.root_columns.len() - 3;
-        let frames = codes[0].len() * FRAMES_PER_CODE;
+        let [_, codes, _] = embedded[0].dims();
+        let frames = codes * FRAMES_PER_CODE;
         let mut columns = Array2::zeros((frames, COLUMNS + turning));
         let halves = &self.trained.halves;
         for (half, (net, places)) in halves.nets.iter().zip(&halves.columns).enumerate() {
-            let entries = self.entries(codes, half);
-            let decoded = net.decoder.forward(&self.trained.parameters, entries);
+            let half = embedded[half].clone();
+            let decoded = net.decoder.forward(&self.trained.parameters, half);
             fill(&mut columns, &values(&decoded), places);
         }
         if let Some((net, parameters)) = &self.root {
-            let decoded = net.forward(parameters, self.entries(codes, 1));
+            let [_, lower] = embedded;
+            let decoded = net.forward(parameters, lower);
             let places: Vec<_> = self.root_columns.iter().copied().map(Some).collect();
             fill(&mut columns, &values(&decoded), &places);
         }

@@ -107,8 +107,19 @@ pub(super) fn dances<B: Kernels>(
     device: &B::Device,
 ) -> Result<Vec<Option<Positions>>, TrainError> {
     let decoder = DanceDecoder::<B>::read(config, device)?;
-    let codes = codes::<B>(config, policy, pieces, seed, device);
-    Ok(codes.iter().map(|codes| decoder.positions(codes)).collect())
+    if !config.ablation.continuous {
+        let codes = codes::<B>(config, policy, pieces, seed, device).into_iter();
+        return Ok(codes.map(|codes| decoder.positions(&codes)).collect());
+    }
+    let parameters = Parameters::<B>::from_store(&policy.store, device);
+    let music = scaled(policy, pieces);
+    let wishes = wishes(policy, pieces, &music, seed);
+    let starts = wishes.iter().map(|wish| decoder.pair(wish.start));
+    let sampler = sampler(config, policy, &parameters);
+    let found = sampler.regress(&wishes, starts.collect()).into_iter();
+    Ok(found
+        .map(|vectors| decoder.positions_of_vectors(vectors))
+        .collect())
 }
 
 /// Upper and lower codes of each piece.
@@ -119,20 +130,40 @@ pub(super) fn codes<B: Kernels>(
     seed: u64,
     device: &B::Device,
 ) -> Vec<[Vec<i32>; 2]> {
-    let sampler = Sampler {
+    let parameters = Parameters::<B>::from_store(&policy.store, device);
+    let music = scaled(policy, pieces);
+    let wishes = wishes(policy, pieces, &music, seed);
+    sampler(config, policy, &parameters).generate(wishes)
+}
+
+fn sampler<'a, B: Kernels>(
+    config: &Config,
+    policy: &'a Policy,
+    parameters: &'a Parameters<B>,
+) -> Sampler<'a, B> {
+    Sampler {
         net: &policy.net,
-        parameters: &Parameters::<B>::from_store(&policy.store, device),
+        parameters,
         temperature: f64::from(config.export.temperature),
-    };
-    let scaled: Vec<Array2<f32>> = pieces
-        .iter()
-        .map(|piece| policy.scaled(&piece.rows))
-        .collect();
-    let wishes = pieces.iter().zip(&scaled).map(|(piece, music)| {
+    }
+}
+
+fn scaled(policy: &Policy, pieces: &[TestPiece]) -> Vec<Array2<f32>> {
+    let pieces = pieces.iter();
+    pieces.map(|piece| policy.scaled(&piece.rows)).collect()
+}
+
+fn wishes<'a>(
+    policy: &Policy,
+    pieces: &[TestPiece],
+    music: &'a [Array2<f32>],
+    seed: u64,
+) -> Vec<Wish<'a>> {
+    let wishes = pieces.iter().zip(music).map(|(piece, music)| {
         let random = generator(seed ^ PIECES, name_number(&piece.id));
         Wish::new(music.view(), &policy.starts, random)
     });
-    sampler.generate(wishes.collect())
+    wishes.collect()
 }
 
 /// Tells pieces apart by their names (FNV-1a): other pieces in a data folder change nothing.

@@ -102,7 +102,11 @@ pub(super) struct GptWork<'a, A: Trainable> {
 
 /// A network of the configured size.
 pub(super) fn random(config: &Config, columns: usize) -> GptWeights {
-    let (gpt, codes) = (&config.gpt, config.vqvae.codes);
+    let gpt = &config.gpt;
+    let codes = match config.ablation.continuous {
+        true => config.vqvae.embedding,
+        false => config.vqvae.codes,
+    };
     let sizes = GptSizes {
         channels: gpt.channels,
         heads: gpt.heads,
@@ -143,13 +147,12 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         }
         let frozen = Trained::<A::InnerBackend>::read(config, device)?;
         let mut encode = |pieces: &[MotionPiece], mirror, phases| {
-            Codes::encode(
-                &frozen,
-                pieces,
-                Augmentation { mirror, phases },
-                device,
-                output,
-            )
+            let wanted = Augmentation {
+                mirror,
+                phases,
+                vectors: config.ablation.continuous,
+            };
+            Codes::encode(&frozen, pieces, wanted, device, output)
         };
         let data = &config.data;
         let codes = encode(set.training.pieces(), data.mirror, data.phases);
@@ -222,6 +225,24 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         Device::from_data(TensorData::new(values, shape), &self.device)
     }
 
+    /// The vectors behind these codes, `[batch, block, channels]`.
+    fn vectors<B: Backend<Device = A::Device>>(
+        &self,
+        codes: &Codes,
+        windows: &[Draw],
+        half: usize,
+        offset: usize,
+    ) -> Device<B, 3> {
+        let (block, channels) = (self.config.gpt.block, self.config.vqvae.embedding);
+        let mut values: Vec<f32> = Vec::with_capacity(windows.len() * block * channels);
+        for window in windows {
+            let first = (window.start / FRAMES_PER_CODE + offset) * channels;
+            values.extend(&codes.vectors_of(window)[half][first..][..block * channels]);
+        }
+        let shape = [windows.len(), block, channels];
+        Device::from_data(TensorData::new(values, shape), &self.device)
+    }
+
     pub(super) fn music<B: Backend<Device = A::Device>>(
         &self,
         pieces: &[MotionPiece],
@@ -245,7 +266,8 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         Device::from_data(TensorData::new(values, shape), &self.device)
     }
 
-    /// Loss, cross-entropy of the upper and of the lower codes that come next.
+    /// Loss, cross-entropy of the upper and of the lower codes that come next; without codes, the
+    /// mean square of the vectors' errors.
     fn losses<B: Kernels<Device = A::Device>>(
         &self,
         parameters: &Parameters<B>,
@@ -253,8 +275,18 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         windows: &[Draw],
         dropout: f64,
     ) -> [Device<B, 1>; 3] {
-        let history = [0, 1].map(|half| self.codes(codes, windows, half, 0));
         let music = self.music(pieces, windows);
+        if self.config.ablation.continuous {
+            let history = [0, 1].map(|half| self.vectors(codes, windows, half, 0));
+            let found = self.net.regress(parameters, music, history, dropout);
+            let error = |found: Device<B, 3>, half| {
+                let target = self.vectors(codes, windows, half, 1);
+                (found - target).square().mean()
+            };
+            let (upper, lower) = (error(found.upper, 0), error(found.lower, 1));
+            return [upper.clone() + lower.clone(), upper, lower];
+        }
+        let history = [0, 1].map(|half| self.codes(codes, windows, half, 0));
         let logits = self.net.forward(parameters, music, history, dropout);
         let entropy = |logits: Device<B, 3>, half| {
             let targets = self.codes(codes, windows, half, 1).unsqueeze_dim::<3>(2);

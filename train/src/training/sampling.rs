@@ -79,6 +79,38 @@ impl<B: Kernels> Sampler<'_, B> {
         pieces
     }
 
+    /// Pieces of vectors in place of codes, from their first vectors on: what the network gives is
+    /// taken, nothing is drawn.
+    pub(super) fn regress(
+        &self,
+        wishes: &[Wish<'_>],
+        mut pieces: Vec<[Vec<f32>; 2]>,
+    ) -> Vec<[Vec<f32>; 2]> {
+        for (wish, piece) in wishes.iter().zip(&mut pieces) {
+            let channels = piece[0].len();
+            for known in 1..wish.music.nrows().saturating_sub(1) {
+                let window = known.min(self.net.block() - 1);
+                let first = known - window;
+                let device = self.parameters.device();
+                let rows = wish.music.rows().into_iter().skip(first + 1).take(window);
+                let rows: Vec<f32> = rows.flatten().copied().collect();
+                let tensor = |values: Vec<f32>| {
+                    let shape = [1, window, values.len() / window];
+                    Device::<B, 3>::from_data(TensorData::new(values, shape), device)
+                };
+                let history =
+                    [0, 1].map(|half: usize| tensor(piece[half][first * channels..].to_vec()));
+                let found = self
+                    .net
+                    .regress(self.parameters, tensor(rows), history, 0.0);
+                for (half, found) in piece.iter_mut().zip([found.upper, found.lower]) {
+                    half.extend(values(&found.narrow(1, window - 1, 1)));
+                }
+            }
+        }
+        pieces
+    }
+
     /// Scores of code `known` of the given pieces, one after the other.
     fn logits(
         &self,
@@ -179,7 +211,10 @@ mod tests {
 
     use super::*;
     use crate::{
-        checkpoint::Checkpoint, nn::Store, training::windows::generator, weights::GptWeights,
+        checkpoint::Checkpoint,
+        nn::{GptSizes, Store, random_gpt},
+        training::windows::generator,
+        weights::GptWeights,
     };
 
     fn fixture(name: &str) -> PathBuf {
@@ -220,6 +255,52 @@ mod tests {
             let golden = golden_codes(name);
             assert_eq!(pieces[0][half], golden[..59]);
             assert_eq!(pieces[1][half], golden[..34]);
+        }
+    }
+
+    /// A piece that fits into the window: each vector is what the network gives after those before
+    /// it, which one pass over the whole piece tells for all at once.
+    #[test]
+    fn vectors_follow_those_before_them() {
+        const STEPS: usize = 5;
+        let sizes = GptSizes {
+            channels: 8,
+            heads: 2,
+            layers: 2,
+            block: STEPS + 1,
+            codes: [3, 3],
+            columns: 2,
+        };
+        let mut store = Store::default();
+        let net = GptNet::new(&random_gpt(sizes, 4), &mut store);
+        let parameters = &Parameters::<Flex>::from_store(&store, &FlexDevice);
+        let music =
+            Array2::from_shape_fn((STEPS + 2, 2), |(row, column)| (row * 2 + column) as f32);
+        let sampler = Sampler {
+            net: &net,
+            parameters,
+            temperature: 1.0,
+        };
+        let wish = Wish {
+            music: music.view(),
+            start: [0, 0],
+            random: generator(1, 2),
+        };
+        let start = [vec![1.0, -2.0, 0.5], vec![0.3, 0.0, 4.0]];
+        let piece = &sampler.regress(&[wish], vec![start.clone()])[0];
+        let tensor = |values: &[f32], columns| {
+            let shape = [1, STEPS, columns];
+            Device::<Flex, 3>::from_data(TensorData::new(values.to_vec(), shape), &FlexDevice)
+        };
+        // Row 1 is beside the first vector.
+        let rows: Vec<f32> = music.iter().skip(2).take(2 * STEPS).copied().collect();
+        let history = [0, 1].map(|half: usize| tensor(&piece[half][..3 * STEPS], 3));
+        let found = net.regress(parameters, tensor(&rows, 2), history, 0.0);
+        for (half, found) in [found.upper, found.lower].iter().enumerate() {
+            assert_eq!(piece[half].len(), 3 * (STEPS + 1));
+            assert_eq!(piece[half][..3], start[half]);
+            let pairs = values(found).into_iter().zip(&piece[half][3..]);
+            pairs.for_each(|(wanted, found)| assert!((wanted - found).abs() < 1e-5));
         }
     }
 

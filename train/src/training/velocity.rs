@@ -83,10 +83,12 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
         let ([_, columns], [_, half]) = (&halves.columns, &halves.nets);
         let lower = half_crops(pieces, windows, frames, columns, &self.device);
         let [_, codebook] = &self.frozen.codebooks;
-        let codes = half.encode(&self.frozen.parameters, codebook, lower);
-        let entries = codebook.lookup(codes);
-        let [rows, channels] = entries.dims();
-        let entries = entries.reshape([windows.len(), rows / windows.len(), channels]);
+        let mut entries = half.encoder.forward(&self.frozen.parameters, lower);
+        if !self.config.ablation.continuous {
+            let [windows, codes, channels] = entries.dims();
+            let nearest = codebook.nearest(entries.reshape([windows * codes, channels]));
+            entries = codebook.lookup(nearest).reshape([windows, codes, channels]);
+        }
 
         let columns = self.config.data.root_columns();
         let mut values = Vec::with_capacity(windows.len() * frames * columns.len());

@@ -259,9 +259,14 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
         let restarted = codebook.update(vectors, indices, average, &mut random);
 
         let quantised = Device::<A, 3>::from_inner(quantised);
-        let distance = encoded.clone() - quantised.clone();
-        // Straight through: the value of the entry, the derivative of the encoder's output.
-        let passed = encoded - distance.clone().detach();
+        let distance = encoded.clone() - quantised;
+        let (passed, distance) = if self.config.ablation.continuous {
+            // The codebook looks on: dances start from its entries.
+            (encoded, distance.zeros_like())
+        } else {
+            // Straight through: the value of the entry, the derivative of the encoder's output.
+            (encoded - distance.clone().detach(), distance)
+        };
         let error = net.decoder.forward(parameters, passed) - target;
         let losses = self.losses(error, distance);
         let [loss, ..] = losses.clone();
@@ -296,8 +301,12 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
         let net = &self.nets[half];
         let encoded = net.encoder.forward(parameters, target.clone());
         let [batch, codes, channels] = encoded.dims();
-        let indices = codebook.nearest(encoded.clone().reshape([batch * codes, channels]));
-        let quantised = codebook.lookup(indices).reshape([batch, codes, channels]);
+        let quantised = if self.config.ablation.continuous {
+            encoded.clone()
+        } else {
+            let indices = codebook.nearest(encoded.clone().reshape([batch * codes, channels]));
+            codebook.lookup(indices).reshape([batch, codes, channels])
+        };
         let error = net.decoder.forward(parameters, quantised.clone()) - target;
         let [loss, position, ..] = self.losses(error, encoded - quantised);
         [loss, position]
