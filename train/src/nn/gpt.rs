@@ -128,7 +128,7 @@ impl GptNet {
 
     /// The same for vectors `[batch, steps, n]` in place of codes, where the vocabulary is `n`: their
     /// columns weigh the rows of the embedding tables, and the scores are the next vectors.
-    pub fn regress<B: Backend>(
+    pub fn regress<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         music: Device<B, 3>,
@@ -166,7 +166,7 @@ impl GptNet {
         self.embedded_states(parameters, music, [upper, lower], layers, dropout)
     }
 
-    fn embedded_states<B: Backend>(
+    fn embedded_states<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         music: Device<B, 3>,
@@ -213,7 +213,7 @@ impl GptNet {
         Logits { upper, lower }
     }
 
-    fn attention<B: Backend>(
+    fn attention<B: Kernels>(
         &self,
         steps: usize,
         dropout: f64,
