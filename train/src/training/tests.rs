@@ -373,7 +373,13 @@ fn the_pose_may_include_the_roots_motion() {
         mirrored: true,
     };
     let [_, lower] = config.pose_columns();
-    let crop = half_crops::<Flex>(&[piece.clone()], &[draw], 8, &lower, &FlexDevice);
+    let crop = half_crops::<Flex>(
+        std::slice::from_ref(&piece),
+        &[draw],
+        8,
+        &lower,
+        &FlexDevice,
+    );
     for (frame, row) in values(&crop).chunks(lower.len()).enumerate() {
         let value = |column| piece.value(8 + frame, column, true);
         assert_eq!(row[..3], [value(0), value(1), value(2)]);
