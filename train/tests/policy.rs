@@ -3,9 +3,11 @@
 
 #![allow(
     clippy::unwrap_used,
+    clippy::print_stdout,
     reason = "helpers of tests: failing loudly is their job"
 )]
 
+mod common;
 #[path = "../src/data/testing.rs"]
 mod testing;
 
@@ -19,7 +21,8 @@ use bailando_train::{
         SongRows, Stage, TrainError, adapt, export, export_adapted, train, trained_weights,
     },
 };
-use ndarray::{Array2, Array3};
+use common::swinging;
+use ndarray::Array2;
 use safetensors::SafeTensors;
 
 fn config(folder: &Path) -> Config {
@@ -36,11 +39,7 @@ fn config(folder: &Path) -> Config {
 /// Joints that swing at different rates while the root walks.
 fn motion_set() -> MotionSet {
     let piece = |phase: f32| {
-        let positions = Array3::from_shape_fn((480, 24, 3), |(frame, joint, axis)| {
-            let time = frame as f32 / 60.0 + phase;
-            let swing = (time * (2.0 + (joint % 4) as f32) + axis as f32).sin();
-            0.05 * joint as f32 * swing + 0.3 * (time + axis as f32).sin()
-        });
+        let positions = swinging(phase);
         // Phase 1 starts a frame later.
         let phases = [0.0, 1.0 / 60.0].map(|start| Arc::new(music(phase + start)));
         let piece = MotionPiece::from_positions(positions, MotionFrame::Dancer).unwrap();

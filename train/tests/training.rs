@@ -21,7 +21,8 @@ use bailando_train::{
 };
 use burn_flex::{Flex, FlexDevice};
 use burn_tensor::{Int, Tensor, TensorData};
-use ndarray::{Array2, Array3};
+use common::swinging;
+use ndarray::Array2;
 
 const STAGES: [Stage; 3] = [Stage::VqVae, Stage::Velocity, Stage::Gpt];
 const TOLERANCE: f32 = 1e-4;
@@ -36,11 +37,7 @@ fn config(folder: &Path) -> Config {
 /// Joints that swing at different rates while the root walks; music that follows the same clock.
 fn motion_set() -> MotionSet {
     let piece = |phase: f32| {
-        let positions = Array3::from_shape_fn((480, 24, 3), |(frame, joint, axis)| {
-            let time = frame as f32 / 60.0 + phase;
-            let swing = (time * (2.0 + (joint % 4) as f32) + axis as f32).sin();
-            0.05 * joint as f32 * swing + 0.3 * (time + axis as f32).sin()
-        });
+        let positions = swinging(phase);
         let music = |start: usize| {
             let start = phase + start as f32 / 60.0;
             Arc::new(Array2::from_shape_fn((60, 438), |(row, column)| {

@@ -72,19 +72,15 @@ pub(super) fn write<const N: usize>(
 
 /// What the weights were trained with.
 fn settings(config: &Config) -> Result<Value, TrainError> {
-    let mut settings = serde_json::Map::new();
-    let mut add = |name: &str, value: serde_json::Result<Value>| {
-        value.map(|value| settings.insert(name.to_owned(), value))
-    };
-    add("vqvae", serde_json::to_value(&config.vqvae))
-        .and_then(|_| add("velocity", serde_json::to_value(&config.velocity)))
-        .and_then(|_| add("gpt", serde_json::to_value(&config.gpt)))
-        .map_err(ExportError::Manifest)?;
-    if Policy::latest_stage(config)? == Stage::ActorCritic {
-        add("actor_critic", serde_json::to_value(&config.actor_critic))
-            .map_err(ExportError::Manifest)?;
+    let learned = Policy::latest_stage(config)? == Stage::ActorCritic;
+    let mut settings = serde_json::to_value(config).map_err(ExportError::Manifest)?;
+    if let Value::Object(sections) = &mut settings {
+        sections.retain(|section, _| match section.as_str() {
+            "vqvae" | "velocity" | "gpt" => true,
+            section => learned && section == "actor_critic",
+        });
     }
-    Ok(Value::Object(settings))
+    Ok(settings)
 }
 
 /// The stages whose weights are exported.

@@ -4,6 +4,7 @@ use std::{collections::BTreeSet, path::Path};
 
 use bailando::features::BEAT_COLUMN;
 use ndarray::Array2;
+use rayon::prelude::*;
 
 use super::{TrainError, config::DataConfig, songs::feature_cache};
 use crate::data::{DataError, MusicLibrary, MusicSource, Portion, Training};
@@ -48,11 +49,14 @@ pub(super) fn training_songs(
     data: &DataConfig,
     portion: &Portion<Training>,
 ) -> Result<Vec<Song>, TrainError> {
-    let mut library = MusicLibrary::new(feature_cache(data)?, data.profile);
+    let cache = feature_cache(data)?;
+    let library = || MusicLibrary::new(cache.clone(), data.profile);
     let songs = portion.dances().iter().flat_map(|dance| dance.songs());
     let music: BTreeSet<&MusicSource> = songs.filter_map(|song| song.music.as_ref()).collect();
     let songs = music
-        .into_iter()
-        .map(|music| Song::read(music, &mut library));
-    Ok(songs.collect::<Result<_, _>>()?)
+        .into_par_iter()
+        .map_init(library, |library, music| Song::read(music, library));
+    // The first that fails is told of, whichever was read first.
+    let songs: Vec<Result<_, DataError>> = songs.collect();
+    Ok(songs.into_iter().collect::<Result<_, _>>()?)
 }

@@ -16,7 +16,7 @@ use bailando_train::{
     export::Description,
     import::{ImportOptions, import},
 };
-use ndarray::{Array1, Array2, ArrayView2, Axis, Slice};
+use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, Slice};
 use tempfile::TempDir;
 
 /// Largest absolute difference that float32 results may have (ARCHITECTURE section 5).
@@ -106,6 +106,15 @@ pub(crate) fn assert_close(
     let difference = found.iter().zip(expected).map(|(a, b)| (a - b).abs());
     let worst = difference.fold(0.0_f32, f32::max);
     assert!(worst <= tolerance, "{what}: differs by {worst:e}");
+}
+
+/// 8 seconds of joints that swing at different rates while the root walks.
+pub(crate) fn swinging(phase: f32) -> Array3<f32> {
+    Array3::from_shape_fn((480, 24, 3), |(frame, joint, axis)| {
+        let time = frame as f32 / 60.0 + phase;
+        let swing = (time * (2.0 + (joint % 4) as f32) + axis as f32).sin();
+        0.05 * joint as f32 * swing + 0.3 * (time + axis as f32).sin()
+    })
 }
 
 /// Some rows of a matrix.

@@ -28,36 +28,24 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
             wrap(weight.primitive.clone()),
             wrap(bias.primitive),
         );
-        let output = output.into_primitive().tensor();
         let nodes = [input.node, weight.node, bias.node];
         let ready = Convolve.prepare::<C>(nodes).compute_bound().stateful();
-        let tracked = match ready {
-            OpsKind::Tracked(ready) => {
-                let state = Remembered {
-                    plan,
-                    input: input.primitive,
-                    weight: weight.primitive,
-                };
-                ready.finish(state, output)
-            }
-            OpsKind::UnTracked(ready) => ready.finish(output),
+        let state = Remembered {
+            plan,
+            input: input.primitive,
+            weight: weight.primitive,
         };
-        Device::from_primitive(TensorPrimitive::Float(tracked))
+        finished(ready, state, output)
     }
 
     fn activate(input: Device<Self, 3>) -> Device<Self, 3> {
         let input = input.into_primitive().tensor();
         let output = B::activate(wrap(input.primitive.clone()));
-        let output = output.into_primitive().tensor();
         let ready = Activate
             .prepare::<C>([input.node])
             .compute_bound()
             .stateful();
-        let tracked = match ready {
-            OpsKind::Tracked(ready) => ready.finish(input.primitive, output),
-            OpsKind::UnTracked(ready) => ready.finish(output),
-        };
-        Device::from_primitive(TensorPrimitive::Float(tracked))
+        finished(ready, input.primitive, output)
     }
 
     fn normalise(
@@ -75,14 +63,9 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
             wrap(weight.primitive.clone()),
             wrap(bias.primitive),
         );
-        let output = output.into_primitive().tensor();
         let nodes = [input.node, weight.node, bias.node];
         let ready = Normalise.prepare::<C>(nodes).compute_bound().stateful();
-        let tracked = match ready {
-            OpsKind::Tracked(ready) => ready.finish((input.primitive, weight.primitive), output),
-            OpsKind::UnTracked(ready) => ready.finish(output),
-        };
-        Device::from_primitive(TensorPrimitive::Float(tracked))
+        finished(ready, (input.primitive, weight.primitive), output)
     }
 
     fn attend(
@@ -99,19 +82,35 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
             forbidden: forbidden.into_primitive(),
             kept: kept.map(|kept| kept.into_primitive().tensor().primitive),
         };
-        let output = state.clone().forward::<B>().into_primitive().tensor();
+        let output = state.clone().forward::<B>();
         let nodes = parts.map(|part| part.node);
         let ready = Attend.prepare::<C>(nodes).compute_bound().stateful();
-        let tracked = match ready {
-            OpsKind::Tracked(ready) => ready.finish(state, output),
-            OpsKind::UnTracked(ready) => ready.finish(output),
-        };
-        Device::from_primitive(TensorPrimitive::Float(tracked))
+        finished(ready, state, output)
     }
 
     fn kept<const D: usize>(like: &Device<Self, D>, share: f64) -> Device<Self, D> {
         Device::from_inner(B::kept(&like.clone().inner(), share))
     }
+}
+
+/// An operation's result, with what its derivative needs where that is wanted.
+fn finished<O, B, S, C, const N: usize>(
+    ready: OpsKind<O, B, S, C, N>,
+    state: S,
+    output: Device<B, 3>,
+) -> Device<Autodiff<B, C>, 3>
+where
+    B: Backend,
+    C: CheckpointStrategy,
+    S: Clone + Send + std::fmt::Debug + 'static,
+    O: Backward<B, N, State = S>,
+{
+    let output = output.into_primitive().tensor();
+    let tracked = match ready {
+        OpsKind::Tracked(ready) => ready.finish(state, output),
+        OpsKind::UnTracked(ready) => ready.finish(output),
+    };
+    Device::from_primitive(TensorPrimitive::Float(tracked))
 }
 
 #[derive(Debug)]

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{
     super::{Convolution, ConvolutionGradients, lowering::Product},
-    host, tensor, values,
+    add, host, tensor, values,
 };
 
 /// Rows of a matrix product that one thread takes at a time: large enough that a product is worth
@@ -56,9 +56,7 @@ pub(super) fn convolve_backward(
         for (products, change) in work.products.iter().zip(&change.kernels) {
             products.add_to(change, &mut weight_change);
         }
-        for (sum, value) in bias_change.iter_mut().zip(&change.bias) {
-            *sum += value;
-        }
+        add(&mut bias_change, &change.bias);
     }
     let (weights, biases) = (weight_change.len(), bias_change.len());
     ConvolutionGradients {
@@ -101,9 +99,7 @@ impl Prepared {
             let Some(slot) = whole.get_mut(tap * length..(tap + 1) * length) else {
                 continue;
             };
-            for (sum, value) in slot.iter_mut().zip(part) {
-                *sum += value;
-            }
+            add(slot, part);
         }
     }
 }
@@ -183,9 +179,7 @@ impl Work {
         let mut by_lowered = vec![0.0; lowered.len()];
         let mut bias = vec![0.0; self.plan.outputs];
         for row in outer.chunks_exact(bias.len().max(1)) {
-            for (sum, value) in bias.iter_mut().zip(row) {
-                *sum += value;
-            }
+            add(&mut bias, row);
         }
         let mut kernels = Vec::with_capacity(self.products.len());
         if let (Some(outer), Some(lowered), Some(mut by_lowered)) = (

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     super::{NORM_EPSILON, NormGradients},
-    host, tensor, values,
+    add, host, tensor, values,
 };
 
 /// Values that one thread takes at a time.
@@ -158,9 +158,7 @@ pub(super) fn normalise_backward(
     let total = |which: usize| {
         let mut total = vec![0.0; channels];
         for part in &parts {
-            for (sum, value) in total.iter_mut().zip(&part[which]) {
-                *sum += value;
-            }
+            add(&mut total, &part[which]);
         }
         tensor(total, [channels])
     };

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{
     super::{Convolution, ConvolutionGradients},
-    host, tensor, values,
+    add, host, tensor, values,
 };
 
 /// Rows that one thread takes at a time where it is not a product.
@@ -28,9 +28,7 @@ pub(super) fn map(
     sums.par_chunks_mut((ROWS * plan.outputs).max(1))
         .for_each(|rows| {
             for row in rows.chunks_mut(plan.outputs.max(1)) {
-                for (value, bias) in row.iter_mut().zip(values(&bias)) {
-                    *value += bias;
-                }
+                add(row, values(&bias));
             }
         });
     let product: Device<Flex, 2> = Device::from_primitive(TensorPrimitive::Float(product));
@@ -64,18 +62,14 @@ fn column_sums(rows: Device<Flex, 2>, columns: usize) -> Device<Flex, 1> {
         .map(|rows| {
             let mut sums = vec![0.0; columns];
             for row in rows.chunks(columns.max(1)) {
-                for (sum, value) in sums.iter_mut().zip(row) {
-                    *sum += value;
-                }
+                add(&mut sums, row);
             }
             sums
         })
         .collect();
     let mut total = vec![0.0; columns];
     for part in parts {
-        for (sum, value) in total.iter_mut().zip(part) {
-            *sum += value;
-        }
+        add(&mut total, &part);
     }
     tensor(total, [columns])
 }

@@ -99,6 +99,13 @@ impl Kernels for Flex {
     }
 }
 
+/// Adds values to sums, place by place.
+fn add(sums: &mut [f32], values: &[f32]) {
+    for (sum, value) in sums.iter_mut().zip(values) {
+        *sum += value;
+    }
+}
+
 /// The tensor with its values in order.
 fn host<const D: usize>(tensor: Device<Flex, D>) -> FlexTensor {
     tensor.into_primitive().tensor().to_contiguous()
