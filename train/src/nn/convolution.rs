@@ -3,7 +3,7 @@
 use burn_tensor::Tensor as Device;
 
 use super::{
-    kernels::{Convolution as Plan, Kernels, Kind},
+    kernels::{Convolution as Plan, Kernels, Kind, Precision},
     parameters::{Parameters, Slot, Store},
 };
 use crate::{Tensor, weights::Convolution};
@@ -29,6 +29,7 @@ impl ConvolutionNet {
                 rectified: false,
                 inputs: tensor.dim(1),
                 outputs: tensor.dim(2),
+                precision: Precision::default(),
             },
             weight: store.push(format!("{name}.weight"), tensor),
             bias: store.push(format!("{name}.bias"), weights.bias.clone()),
@@ -74,6 +75,10 @@ impl ConvolutionNet {
         parameters: &Parameters<B>,
         input: Device<B, 3>,
     ) -> Device<B, 3> {
+        let plan = Plan {
+            precision: parameters.precision(),
+            ..plan
+        };
         let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
         B::convolve(plan, input, weight, bias)
     }

@@ -21,7 +21,7 @@ pub use gpt::{GptNet, Logits};
 pub use initial::{GptSizes, VqVaeSizes, random_critic, random_gpt, random_vqvae};
 pub use kernels::{
     AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kernels, Kind,
-    NormGradients, Queries, Trainable,
+    NormGradients, Precision, Queries, Trainable,
 };
 pub(crate) use parameters::values;
 pub use parameters::{Parameters, Store};

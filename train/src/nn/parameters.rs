@@ -2,6 +2,7 @@
 
 use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
 
+use super::kernels::Precision;
 use crate::Tensor;
 
 /// Place of a tensor in a [`Store`] and in the [`Parameters`] made of it.
@@ -57,6 +58,7 @@ pub struct Parameters<B: Backend> {
     tensors: Vec<Device<B, 1>>,
     shapes: Vec<Vec<usize>>,
     device: B::Device,
+    precision: Precision,
 }
 
 impl<B: Backend> Parameters<B> {
@@ -76,7 +78,18 @@ impl<B: Backend> Parameters<B> {
                 .map(|(_, tensor)| tensor.shape().to_vec())
                 .collect(),
             device: device.clone(),
+            precision: Precision::default(),
         }
+    }
+
+    /// The same tensors, whose products are computed in `precision`.
+    #[must_use]
+    pub fn in_precision(self, precision: Precision) -> Self {
+        Self { precision, ..self }
+    }
+
+    pub(super) fn precision(&self) -> Precision {
+        self.precision
     }
 
     /// Copies the values back to the host, under the names of `store`.
@@ -127,6 +140,7 @@ impl<B: Backend> Parameters<B> {
                 .collect(),
             shapes: self.shapes.clone(),
             device: self.device.clone(),
+            precision: self.precision,
         }
     }
 }
@@ -143,6 +157,7 @@ impl<A: AutodiffBackend> Parameters<A> {
                 .collect(),
             shapes: self.shapes.clone(),
             device: self.device.clone(),
+            precision: self.precision,
         }
     }
 }

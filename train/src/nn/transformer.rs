@@ -188,6 +188,7 @@ impl LinearNet {
             rectified: false,
             inputs: self.inputs,
             outputs: self.outputs,
+            precision: parameters.precision(),
         };
         let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
         B::convolve(plan, input, weight, bias)

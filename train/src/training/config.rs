@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{AblationConfig, TrainError, reward::BeatReward};
 use crate::data::{JOINTS, PHASES};
+use crate::nn::Precision;
 
 /// The file that says every setting, with a comment on each.
 const BASE: &str = include_str!("../../presets/paper.toml");
@@ -67,6 +68,7 @@ impl DataConfig {
 pub struct RunConfig {
     pub folder: PathBuf,
     pub device: String,
+    pub precision: Precision,
     pub seed: u64,
     pub checkpoint_seconds: f64,
     pub log_steps: u64,
@@ -114,6 +116,7 @@ pub struct GptConfig {
     pub head_layers: usize,
     pub block: usize,
     pub stride: usize,
+    pub phases: usize,
     pub dropout: f64,
     pub standardise_music: bool,
     pub training: TrainingConfig,
@@ -257,6 +260,12 @@ impl Config {
             return Err(format!("data.phases ({phases}) must lie in 1..={PHASES}"));
         }
         let gpt = &self.gpt;
+        if gpt.phases > phases {
+            return Err(format!(
+                "gpt.phases ({}) must lie in 0..={phases}, the phases of [data]",
+                gpt.phases
+            ));
+        }
         if gpt.heads == 0 || !gpt.channels.is_multiple_of(gpt.heads) {
             let (channels, heads) = (gpt.channels, gpt.heads);
             return Err(format!(
@@ -286,6 +295,16 @@ impl Config {
             }
             None if self.run.log_steps == 0 => Err("run.log_steps must be at least 1".into()),
             None => Ok(()),
+        }
+    }
+}
+
+impl Config {
+    /// Start phases that the GPT learns from.
+    pub(super) fn gpt_phases(&self) -> usize {
+        match self.gpt.phases {
+            0 => self.data.phases,
+            phases => phases,
         }
     }
 }
@@ -399,6 +418,7 @@ mod tests {
             "[data]\nphases = 9",
             "[data]\nframe = \"sideways\"",
             "[gpt]\nheads = 5",
+            "[gpt]\nphases = 2",
             "[gpt.training]\nrate = 0",
             "[actor_critic]\nactor_steps = 0",
             "[actor_critic]\ntemperature = -1.0",

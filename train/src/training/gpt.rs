@@ -140,7 +140,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             stride: stage.stride * FRAMES_PER_CODE,
             mirror: config.data.mirror,
         };
-        let choices = set.training.music_choices(config.data.phases);
+        let choices = set.training.music_choices(config.gpt_phases());
         let windows = Windows::new(crops, choices, config.run.seed ^ 2);
         if windows.len() == 0 {
             return Err(too_short);
@@ -155,7 +155,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             Codes::encode(&frozen, pieces, wanted, device, output)
         };
         let data = &config.data;
-        let codes = encode(set.training.pieces(), data.mirror, data.phases);
+        let codes = encode(set.training.pieces(), data.mirror, config.gpt_phases());
         let test_codes = set.test.as_ref();
         let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
         let scale = MusicScale::measure(&set.training, columns, stage.standardise_music);

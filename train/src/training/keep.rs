@@ -11,6 +11,7 @@ use super::{
     saved::{Facts, Saved},
     state::other_settings,
 };
+use crate::nn::Precision;
 
 /// The last state of a stage, from which it goes on.
 pub(super) const CHECKPOINT_FILE: &str = "checkpoint.safetensors";
@@ -83,6 +84,9 @@ pub(super) fn settings(config: &Config, stage: Stage) -> Result<String, TrainErr
         data.phases,
         data.profile,
     );
+    if config.run.precision != Precision::F32 {
+        settings.push_str(&format!("{:?} ", config.run.precision));
+    }
     for base in stage.bases(config) {
         let sum = fingerprint(config, base)?;
         settings.push_str(&format!("{} {sum}, ", base.name()));

@@ -48,7 +48,8 @@ impl<A: Trainable> State<A> {
         folder: &Path,
     ) -> Result<Self, TrainError> {
         remove_partial(folder).map_err(TrainError::file(folder))?;
-        let parameters = Parameters::from_store(&plan.store, device);
+        let parameters =
+            Parameters::from_store(&plan.store, device).in_precision(plan.run.precision);
         let mut state = Self {
             adam: Adam::new(parameters.tensors(), plan.training.betas),
             parameters,
@@ -88,10 +89,8 @@ impl<A: Trainable> State<A> {
             });
         }
         let load = |prefix: &str| -> Result<Parameters<A::InnerBackend>, String> {
-            Ok(Parameters::from_store(
-                &saved.fill(prefix, &plan.store)?,
-                device,
-            ))
+            let parameters = Parameters::from_store(&saved.fill(prefix, &plan.store)?, device);
+            Ok(parameters.in_precision(plan.run.precision))
         };
         self.parameters = load(WEIGHT)?;
         self.adam.first = load(FIRST_MOMENT)?.tensors().to_vec();

@@ -23,7 +23,7 @@ use super::{
 use crate::{
     data::{Draw, Evaluation, Motion, SplitKind, mirrored, testing},
     export::skeleton,
-    nn::{Parameters, values},
+    nn::{Parameters, Precision, values},
 };
 
 type Tracked = Autodiff<Flex>;
@@ -245,6 +245,39 @@ fn without_test_dances_there_is_no_test_loss() {
         work.step(&parameters.tracked(), 0);
         assert_eq!(work.test(&parameters), None);
     }
+}
+
+/// Losses of every step of a VQ-VAE, and what it takes to go on in another precision.
+#[test]
+fn rounded_products_train_alike_and_are_another_run() {
+    let losses = |folder: &Path, precision| {
+        let mut config = config(folder);
+        config.run.precision = precision;
+        config.run.log_steps = 1;
+        config.vqvae.training.steps = 12;
+        let set = MotionSet {
+            training: whole(FRAMES),
+            test: None,
+            songs: Vec::new(),
+        };
+        let log = &mut Vec::new();
+        let outcome = train(Stage::VqVae, &config, &set, None, Limits::default(), log);
+        outcome.map(|_| read_series(&folder.join("vqvae/metrics.csv")).unwrap()["loss"].clone())
+    };
+    let folders = [0, 1].map(|_| tempfile::tempdir().unwrap());
+    let exact = losses(folders[0].path(), Precision::F32).unwrap();
+    let rounded = losses(folders[1].path(), Precision::Bf16).unwrap();
+    assert_ne!(exact, rounded);
+    let ends = [&exact, &rounded].map(|series| [series[0].1, series[11].1]);
+    assert!(
+        (ends[0][0] - ends[1][0]).abs() < 0.01 * ends[0][0],
+        "{ends:?}"
+    );
+    for [first, last] in ends {
+        assert!(last < 0.9 * first, "{ends:?}");
+    }
+    let refused = losses(folders[0].path(), Precision::Bf16).unwrap_err();
+    assert!(matches!(refused, TrainError::State { .. }), "{refused}");
 }
 
 /// A run with parts left out, up to its GPT.

@@ -3,6 +3,8 @@
 
 use std::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 /// How a convolution moves along time (ARCHITECTURE section 2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -16,6 +18,19 @@ pub enum Kind {
     Doubling,
 }
 
+/// What the factors of matrix products are rounded to. Products are summed, and all else is computed
+/// and kept, in float32: weights and moments do not lose small steps. float16 is not offered: its
+/// range would need scaled losses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// To nothing: float32.
+    #[default]
+    F32,
+    /// To bfloat16, for accelerators with matrix units.
+    Bf16,
+}
+
 /// A convolution's plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Convolution {
@@ -27,6 +42,8 @@ pub struct Convolution {
     pub inputs: usize,
     /// Channels of the output.
     pub outputs: usize,
+    /// What its products are computed in.
+    pub precision: Precision,
 }
 
 /// One matrix product: columns of the lowered input times rows of the kernel.

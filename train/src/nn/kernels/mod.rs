@@ -10,7 +10,7 @@ mod plain;
 #[cfg(test)]
 mod tests;
 
-pub use lowering::{Convolution, Kind};
+pub use lowering::{Convolution, Kind, Precision};
 
 use burn_tensor::{
     Bool, Tensor as Device,

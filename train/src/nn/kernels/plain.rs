@@ -1,14 +1,14 @@
 //! The kernels in a backend's own tensor operations, derivatives by its own rules' formulas.
 
 use burn_tensor::{
-    Bool, Distribution, Tensor as Device, TensorPrimitive,
+    Bool, Distribution, FloatDType, Tensor as Device, TensorPrimitive,
     activation::{relu, softmax},
     backend::Backend,
 };
 
 use super::{
     AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kind, NORM_EPSILON,
-    NormGradients, Queries, lowering::Product,
+    NormGradients, Precision, Queries, lowering::Product,
 };
 
 pub(super) fn convolve<B: Backend>(
@@ -22,7 +22,7 @@ pub(super) fn convolve<B: Backend>(
     let lowered = lower(plan, input);
     let parts = plan.products().into_iter().map(|product| {
         let columns = columns(plan, &product, lowered.clone());
-        columns.matmul(kernel_rows(plan, &product, weight.clone()))
+        multiplied(plan, columns, kernel_rows(plan, &product, weight.clone()))
     });
     let together = Device::cat(parts.collect(), 1);
     let frames = plan.rows(time) * plan.outputs_per_row();
@@ -49,14 +49,13 @@ pub(super) fn convolve_backward<B: Backend>(
         let outer = wide.clone().narrow(1, product.output * outputs, outputs);
         let from = product.frames.start * channels;
         let length = product.frames.len() * channels;
-        let change = outer
-            .clone()
-            .matmul(kernel_rows(plan, &product, weight.clone()).transpose());
+        let rows_of_kernel = kernel_rows(plan, &product, weight.clone()).transpose();
+        let change = multiplied(plan, outer.clone(), rows_of_kernel);
         let before = Device::zeros([rows, from], &device);
         let after = Device::zeros([rows, width - from - length], &device);
         by_lowered = by_lowered + Device::cat(vec![before, change, after], 1);
         let columns = columns(plan, &product, lowered.clone());
-        let change = columns.transpose().matmul(outer);
+        let change = multiplied(plan, columns.transpose(), outer);
         for (place, &tap) in product.taps.iter().enumerate() {
             if let Some(slot) = by_kernel.get_mut(tap) {
                 *slot = Some(change.clone().narrow(0, place * channels, channels));
@@ -78,6 +77,21 @@ pub(super) fn convolve_backward<B: Backend>(
         weight: Device::cat(by_kernel.into_iter().flatten().collect(), 0)
             .reshape([plan.kernel() * channels * outputs]),
         bias: outer.sum_dim(0).sum_dim(1).reshape([outputs]),
+    }
+}
+
+/// A matrix product in the plan's precision.
+fn multiplied<B: Backend>(
+    plan: Convolution,
+    left: Device<B, 2>,
+    right: Device<B, 2>,
+) -> Device<B, 2> {
+    match plan.precision {
+        Precision::F32 => left.matmul(right),
+        Precision::Bf16 => {
+            let [left, right] = [left, right].map(|factor| factor.cast(FloatDType::BF16));
+            left.matmul(right).cast(FloatDType::F32)
+        }
     }
 }
 

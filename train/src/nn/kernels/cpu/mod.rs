@@ -1,7 +1,8 @@
 //! The kernels on a CPU.
 //!
 //! How work is divided among threads depends on its size alone, and parts are summed in order, so
-//! results do not depend on the number of threads.
+//! results do not depend on the number of threads. Products in less than float32 are left to the
+//! plain kernels: slower here, but what an accelerator computes.
 
 mod attention;
 mod convolution;
@@ -14,7 +15,7 @@ use burn_tensor::{Bool, Tensor as Device, TensorData, TensorPrimitive};
 
 use super::{
     AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kernels, NormGradients,
-    Queries,
+    Precision, Queries, plain,
 };
 
 impl Kernels for Flex {
@@ -24,6 +25,9 @@ impl Kernels for Flex {
         weight: Device<Self, 1>,
         bias: Device<Self, 1>,
     ) -> Device<Self, 3> {
+        if plan.precision != Precision::F32 {
+            return plain::convolve(plan, input, weight, bias);
+        }
         if plan.is_linear() {
             return linear::map(plan, input, weight, bias);
         }
@@ -36,6 +40,9 @@ impl Kernels for Flex {
         weight: Device<Self, 1>,
         outer: Device<Self, 3>,
     ) -> ConvolutionGradients<Self> {
+        if plan.precision != Precision::F32 {
+            return plain::convolve_backward(plan, input, weight, outer);
+        }
         if plan.is_linear() {
             return linear::map_backward(plan, input, weight, outer);
         }

@@ -1,0 +1,169 @@
+//! The command line: parse, call, print.
+
+mod arguments;
+
+use std::{
+    io::{self, Write},
+    path::Path,
+};
+
+use bailando::model::Manifest;
+
+pub use self::arguments::Arguments;
+use self::arguments::{
+    AdaptArguments, CheckArguments, Command, GenerateArguments, StageArguments, WholeArguments,
+    with_cache,
+};
+use crate::{
+    data::check::{CheckOptions, check},
+    encode::encode,
+    import::{ImportOptions, import},
+    training::{
+        AblationConfig, Adaptation, Config, MotionSet, Outcome, Stage, adapt, export,
+        export_adapted, generate_test_dances, run_all, target_song, train,
+    },
+};
+
+/// What is said of a run that a limit ended.
+const PAUSED: &str = "paused: the same command goes on";
+
+/// Runs one command and reports on `output`.
+///
+/// # Errors
+/// Whatever the command or the output gives, for one line on standard error.
+pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> {
+    match arguments.command {
+        Command::Import(arguments) => {
+            let options = ImportOptions::from(*arguments);
+            let manifest = import(&options)?;
+            report(&options, &manifest, output)?;
+            Ok(())
+        }
+        Command::Run(arguments) => train_all(&arguments, output),
+        Command::VqVae(arguments) => train_stage(Stage::VqVae, &arguments, output),
+        Command::Velocity(arguments) => train_stage(Stage::Velocity, &arguments, output),
+        Command::Gpt(arguments) => train_stage(Stage::Gpt, &arguments, output),
+        Command::ActorCritic(arguments) => train_stage(Stage::ActorCritic, &arguments, output),
+        Command::Adapt(arguments) => adapt_policy(&arguments, output),
+        Command::Export(arguments) => {
+            let config = Config::read(&arguments.config)?;
+            let manifest = export(&config, arguments.force)?;
+            let folder = config.export.folder.display();
+            writeln!(output, "wrote {folder} ({})", manifest.name)?;
+            Ok(())
+        }
+        Command::Encode(arguments) => {
+            let out = arguments.out.clone();
+            let count = encode(&arguments.into())?;
+            writeln!(output, "wrote {count} recordings to {}", out.display())?;
+            Ok(())
+        }
+        Command::Generate(arguments) => generate(&arguments, output),
+        Command::CheckData(arguments) => check_data(arguments, output),
+    }
+}
+
+fn train_stage(
+    stage: Stage,
+    arguments: &StageArguments,
+    output: &mut impl Write,
+) -> anyhow::Result<()> {
+    let config = arguments.config()?;
+    anyhow::ensure!(
+        arguments.init.is_none() || stage != Stage::Velocity,
+        "velocity has no --init: it starts from the VQ-VAE of the run"
+    );
+    let set = MotionSet::read(&config.data, stage.load(), output)?;
+    let (init, limits) = (arguments.init.as_deref(), arguments.limits());
+    let outcome = train(stage, &config, &set, init, limits, output)?;
+    report_outcome(outcome, output)
+}
+
+fn adapt_policy(arguments: &AdaptArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let config = arguments.stage.config()?;
+    let song = target_song(&config.data, &arguments.song)?;
+    let adaptation = Adaptation::new(&config, &arguments.song, song)?;
+    let (init, limits) = (arguments.stage.init.as_deref(), arguments.stage.limits());
+    let outcome = adapt(&config, &adaptation, init, limits, output)?;
+    report_outcome(outcome, output)?;
+    if outcome == Outcome::Paused {
+        return Ok(());
+    }
+    let folder = arguments.out.clone();
+    let folder = folder.unwrap_or_else(|| adaptation.folder.join("model"));
+    let manifest = export_adapted(&config, &adaptation, &folder, arguments.force)?;
+    writeln!(output, "wrote {} ({})", folder.display(), manifest.name)?;
+    Ok(())
+}
+
+fn generate(arguments: &GenerateArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let config = with_cache(&arguments.config, arguments.cache.as_deref())?;
+    let (seed, folder) = (arguments.seed, &arguments.out);
+    let count = generate_test_dances(&config, seed, folder, output)?;
+    writeln!(output, "wrote {count} dances to {}", folder.display())?;
+    Ok(())
+}
+
+fn report_outcome(outcome: Outcome, output: &mut impl Write) -> anyhow::Result<()> {
+    match outcome {
+        Outcome::Finished => writeln!(output, "finished")?,
+        Outcome::Paused => writeln!(output, "{PAUSED}")?,
+    }
+    Ok(())
+}
+
+fn train_all(arguments: &WholeArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let config = Config::read(&arguments.run.config)?;
+    match run_all(&config, arguments.run.force, arguments.max_seconds, output)? {
+        Outcome::Finished if config.ablation == AblationConfig::default() => {
+            try_it(&config.export.folder, output)?;
+        }
+        Outcome::Finished => {}
+        Outcome::Paused => writeln!(output, "{PAUSED}")?,
+    }
+    Ok(())
+}
+
+fn try_it(model: &Path, output: &mut impl Write) -> io::Result<()> {
+    let model = model.display();
+    writeln!(output, "try it: bailando serve --model-dir {model}")
+}
+
+fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let options = CheckOptions::from(&arguments);
+    let report = check(&arguments.folder, &options)?;
+    if arguments.json {
+        serde_json::to_writer_pretty(&mut *output, &report)?;
+        writeln!(output)?;
+    } else {
+        write!(output, "{report}")?;
+    }
+    if report.is_usable() {
+        return Ok(());
+    }
+    anyhow::bail!("{}: {}", arguments.folder.display(), report.verdict())
+}
+
+fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write) -> io::Result<()> {
+    let gpt = manifest.gpt;
+    writeln!(
+        output,
+        "wrote {} ({})",
+        options.out.display(),
+        manifest.name
+    )?;
+    writeln!(
+        output,
+        "  {} upper and {} lower codes; GPT of {} layers, {} channels, {} heads; decoder of width {}",
+        manifest.vocabulary.upper,
+        manifest.vocabulary.lower,
+        gpt.layers,
+        gpt.channels,
+        gpt.heads,
+        manifest.decoder.width,
+    )?;
+    for (name, file) in &manifest.files {
+        writeln!(output, "  {name:<13} {:>8.1} MB", file.bytes as f64 / 1e6)?;
+    }
+    try_it(&options.out, output)
+}
