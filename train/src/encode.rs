@@ -39,6 +39,9 @@ pub enum EncodeError {
     /// A motion.
     #[error(transparent)]
     Motion(#[from] MotionError),
+    /// No recording of the split goes with a song.
+    #[error("no recording of this split has music")]
+    NoMusic,
     /// A file could not be written.
     #[error("{}: {message}", path.display())]
     Write {
@@ -108,7 +111,7 @@ fn encode_portion<S: SplitKind>(
 }
 
 /// What the encoder takes, `[frames, 72]`.
-fn columns(motion: &Motion, frame: MotionFrame) -> Result<Array2<f32>, MotionError> {
+pub(crate) fn columns(motion: &Motion, frame: MotionFrame) -> Result<Array2<f32>, MotionError> {
     Ok(match frame {
         MotionFrame::World => motion.root_relative(),
         MotionFrame::Dancer => {

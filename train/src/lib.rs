@@ -2,7 +2,7 @@
 //!
 //! [`checkpoint`] (a file to tensors) → [`weights`] (tensors to networks) → [`onnx`] (networks to
 //! graphs) → [`export`] (graphs and manifest to a model directory). [`import`] goes all the way,
-//! [`training`] makes weights of [`data`], [`encode`] sends recordings through a model, [`cli`] parses
+//! [`training`] makes weights of [`data`], [`encode`] sends recordings through a model, [`music_gap`] says whether it hears, [`cli`] parses
 //! and prints.
 
 pub mod checkpoint;
@@ -11,6 +11,7 @@ pub mod data;
 pub mod encode;
 pub mod export;
 pub mod import;
+pub mod music_gap;
 pub mod nn;
 pub mod onnx;
 mod tensor;

@@ -13,6 +13,7 @@ use crate::{
     encode::EncodeOptions,
     export::Description,
     import::ImportOptions,
+    music_gap::MusicGapOptions,
     training::{Config, Limits},
 };
 
@@ -43,6 +44,7 @@ pub(super) enum Command {
     Export(RunArguments),
     Encode(EncodeArguments),
     Generate(GenerateArguments),
+    MusicGap(MusicGapArguments),
     CheckData(CheckArguments),
 }
 
@@ -71,6 +73,37 @@ pub(super) struct EncodeArguments {
     /// Decode the codes again, too
     #[arg(long)]
     pub(super) reconstruct: bool,
+}
+
+/// Measure whether a model hears: how much worse it foretells recordings with other music
+///
+/// Cross-entropy of a recording's codes with its own song, and what is added by a song of another
+/// dance, and by its own song one count and half a bar early. Gaps of 0 mean that the model is deaf.
+#[derive(Args, Debug)]
+pub(super) struct MusicGapArguments {
+    /// Data folder of any layout, with songs
+    #[arg(value_name = "DIR")]
+    data: PathBuf,
+
+    /// Model directory
+    #[arg(long, default_value = "models/default", value_name = "DIR")]
+    model_dir: PathBuf,
+
+    /// Folder of the songs, where they are kept apart from the motions
+    #[arg(long, value_name = "DIR")]
+    audio: Option<PathBuf>,
+
+    /// Folder of music features [default: the user's cache]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+
+    /// Which recordings
+    #[arg(long, value_enum, default_value_t = SplitName::Test)]
+    split: SplitName,
+
+    /// Print JSON
+    #[arg(long)]
+    pub(super) json: bool,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -322,15 +355,33 @@ impl StageArguments {
     }
 }
 
+impl From<SplitName> for Split {
+    fn from(name: SplitName) -> Self {
+        match name {
+            SplitName::Train => Self::Train,
+            SplitName::Test => Self::Test,
+        }
+    }
+}
+
+impl From<MusicGapArguments> for MusicGapOptions {
+    fn from(arguments: MusicGapArguments) -> Self {
+        Self {
+            model: arguments.model_dir,
+            data: arguments.data,
+            audio: arguments.audio,
+            cache: arguments.cache,
+            split: arguments.split.into(),
+        }
+    }
+}
+
 impl From<EncodeArguments> for EncodeOptions {
     fn from(arguments: EncodeArguments) -> Self {
         Self {
             model: arguments.model_dir,
             data: arguments.data,
-            split: match arguments.split {
-                SplitName::Train => Split::Train,
-                SplitName::Test => Split::Test,
-            },
+            split: arguments.split.into(),
             out: arguments.out,
             reconstruct: arguments.reconstruct,
         }

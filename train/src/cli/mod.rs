@@ -11,13 +11,14 @@ use bailando::model::Manifest;
 
 pub use self::arguments::Arguments;
 use self::arguments::{
-    AdaptArguments, CheckArguments, Command, GenerateArguments, StageArguments, WholeArguments,
-    with_cache,
+    AdaptArguments, CheckArguments, Command, GenerateArguments, MusicGapArguments, StageArguments,
+    WholeArguments, with_cache,
 };
 use crate::{
     data::check::{CheckOptions, check},
     encode::encode,
     import::{ImportOptions, import},
+    music_gap::music_gap,
     training::{
         AblationConfig, Adaptation, Config, MotionSet, Outcome, Stage, adapt, export,
         export_adapted, generate_test_dances, run_all, target_song, train,
@@ -59,6 +60,7 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             Ok(())
         }
         Command::Generate(arguments) => generate(&arguments, output),
+        Command::MusicGap(arguments) => measure_music_gap(arguments, output),
         Command::CheckData(arguments) => check_data(arguments, output),
     }
 }
@@ -101,6 +103,18 @@ fn generate(arguments: &GenerateArguments, output: &mut impl Write) -> anyhow::R
     let (seed, folder) = (arguments.seed, &arguments.out);
     let count = generate_test_dances(&config, seed, folder, output)?;
     writeln!(output, "wrote {count} dances to {}", folder.display())?;
+    Ok(())
+}
+
+fn measure_music_gap(arguments: MusicGapArguments, output: &mut impl Write) -> anyhow::Result<()> {
+    let json = arguments.json;
+    let gap = music_gap(&arguments.into())?;
+    if json {
+        serde_json::to_writer_pretty(&mut *output, &gap)?;
+        writeln!(output)?;
+    } else {
+        write!(output, "{gap}")?;
+    }
     Ok(())
 }
 
