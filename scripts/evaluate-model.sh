@@ -1,11 +1,12 @@
 #!/usr/bin/env bash
 # The figures of a model card: the test split of a data folder danced to by a model, three times, and
-# measured against the recordings.
+# measured against the recordings; the recordings through its VQ-VAE alone, measured the same way; and
+# whether it hears.
 # Usage: scripts/evaluate-model.sh [MODEL [DATA [OUT]]]
 #   MODEL  model directory           (default models/default)
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
 #   OUT    where dances and the plot go                       (default target/evaluation)
-# BAILANDO names the binary (default target/release/bailando).
+# BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and bailando-train).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -13,6 +14,7 @@ model=${1:-models/default}
 data=${2:-../shared/data/salsa}
 out=${3:-target/evaluation}
 bailando=${BAILANDO:-target/release/bailando}
+trainer=${BAILANDO_TRAIN:-target/release/bailando-train}
 
 pieces() {
     python3 -c 'import json, sys
@@ -32,5 +34,29 @@ for seed in 1 2 3; do
             { cat "$out/generate.log" >&2; exit 1; }
     done < <(pieces)
 done
-"$bailando" evaluate --generated "$out/dances" --seeds 3 --reference "$data" --split test \
-    --window 300 --stride 150 --beats "$data/test_beats.json" --plot "$out/evaluation.svg"
+measure() {
+    "$bailando" evaluate --reference "$data" --split test --window 300 --stride 150 \
+        --beats "$data/test_beats.json" "$@"
+}
+
+printf '## Dances\n\n'
+measure --generated "$out/dances" --seeds 3 --plot "$out/evaluation.svg"
+
+rm -rf "$out/encoded" "$out/reconstructed"
+"$trainer" encode "$data" --model-dir "$model" --out "$out/encoded" --reconstruct > "$out/encode.log"
+mkdir -p "$out/reconstructed"
+python3 - "$data/index.json" "$out" <<'PY'
+import json, os, sys
+index, out = sys.argv[1:]
+pieces = [piece for piece in json.load(open(index))["pieces"] if piece["split"] == "test"]
+first = {}
+for piece in pieces:
+    first.setdefault(piece["motion"], piece["id"])
+    # One recording goes with many songs: each piece is judged beside its own.
+    os.link(f"{out}/encoded/{first[piece['motion']]}.npy", f"{out}/reconstructed/{piece['id']}.npy")
+PY
+printf '\n## Recordings through the VQ-VAE alone\n\n'
+measure --generated "$out/reconstructed"
+
+printf '\n## What it hears\n\n'
+"$trainer" music-gap "$data" --model-dir "$model"

@@ -281,43 +281,6 @@ fn features_and_rows_give_the_codes_of_the_song() {
     }
 }
 
-/// The bootstrap's own argmax codes over the demo song, by an independent implementation.
-#[test]
-fn the_default_model_repeats_the_independent_codes() {
-    for window in ["sliding", "hop"] {
-        let name = if window == "hop" { "hop15" } else { window };
-        let golden = format!("model/bootstrap/demo_codes_{name}.npy");
-        let (Some(golden), Some(rows)) = (
-            common::shared(&golden),
-            common::shared("model/bootstrap/demo_music.npy"),
-        ) else {
-            return;
-        };
-        let folder = tempfile::tempdir().expect("a folder");
-        let (codes_path, codes_text) = path(folder.path(), "codes.npy");
-        succeed(&[
-            "generate",
-            "--features",
-            rows.to_str().expect("UTF-8"),
-            "--start-upper",
-            "84",
-            "--start-lower",
-            "210",
-            "--temperature",
-            "0",
-            "--window",
-            window,
-            "--hop",
-            "15",
-            "--codes-out",
-            &codes_text,
-        ]);
-        let expected: Array2<i64> = ndarray_npy::read_npy(golden).expect("npy");
-        let codes: Array2<i64> = ndarray_npy::read_npy(codes_path).expect("npy");
-        assert_eq!(codes, expected, "{window}");
-    }
-}
-
 #[test]
 fn a_codebook_is_drawn_with_the_uses_of_its_codes() {
     let folder = tempfile::tempdir().expect("a folder");

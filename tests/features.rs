@@ -20,8 +20,8 @@ mod golden;
 use std::path::Path;
 
 use bailando::features::{
-    BEAT_COLUMN, Beats, CHROMA_COLUMNS, COLUMNS, DELTA_COLUMNS, FeatureExtractor, MFCC_COLUMNS,
-    ONSET_COLUMN, Profile, Rate, Stages, TEMPOGRAM_COLUMNS,
+    BEAT_COLUMN, BeatPhase, Beats, CHROMA_COLUMNS, COLUMNS, DELTA_COLUMNS, FeatureExtractor,
+    MFCC_COLUMNS, ONSET_COLUMN, Profile, Rate, Stages, TEMPOGRAM_COLUMNS,
 };
 use comparison::{Checked, Tolerance, frames_with_tone};
 use golden::{GoldenSet, load, load_as_f32, load_vector};
@@ -385,4 +385,60 @@ fn columns(matrix: &Array2<f32>, range: std::ops::Range<usize>) -> Array2<f32> {
 fn load_frames(file: &Path) -> Vec<usize> {
     let frames = load::<i32, ndarray::Ix1>(file);
     frames.iter().map(|&frame| frame as usize).collect()
+}
+
+/// Songs whose counts and bars are known: where our tracker finds the beat or half of it, counts are on the
+/// grid, and bars start where the songs' harmony changes.
+#[test]
+fn counts_and_bars_of_known_songs_are_found() {
+    let Some(root) = common::shared("data/salsa") else {
+        return;
+    };
+    let text = std::fs::read(root.join("index.json")).unwrap();
+    let index: serde_json::Value = serde_json::from_slice(&text).unwrap();
+    let mut rows = FeatureExtractor::new(Rate::Conditioning, Profile::Librosa011);
+    let mut beats = FeatureExtractor::new(Rate::Beats, Profile::Librosa011);
+    let (mut songs, mut on_count, mut on_bar) = (0, 0, 0);
+    let pieces = index["pieces"].as_array().unwrap().iter();
+    for piece in pieces.filter(|piece| piece["split"] == "test" && piece["role"] == "lead") {
+        let bytes = std::fs::read(root.join(piece["audio"].as_str().unwrap())).unwrap();
+        let signals = bailando::audio::decode(
+            bytes.into(),
+            Default::default(),
+            &[Rate::Conditioning.hz(), Rate::Beats.hz()],
+            &bailando::audio::AudioLimits::default(),
+            &bailando::CancelToken::new(),
+        )
+        .unwrap()
+        .signals;
+        let rows = rows.extract(&signals[0]).unwrap();
+        let phase = BeatPhase::find(&beats.beats(&signals[1]).unwrap(), rows.view()).unwrap();
+        let grid = piece["grid_beats_s"].as_array().unwrap().iter();
+        let grid: Vec<f64> = grid.map(|second| second.as_f64().unwrap()).collect();
+        // Mean direction of the difference to the true count, in turns of `period`; its length says how
+        // steady it is.
+        let difference = |period: f64| {
+            let angles = grid.iter().enumerate().map(|(count, &second)| {
+                std::f64::consts::TAU * (phase.at(second) - count as f64) / period
+            });
+            let (sine, cosine) = angles.fold((0.0, 0.0), |(sine, cosine), angle| {
+                (sine + angle.sin(), cosine + angle.cos())
+            });
+            let turns = sine.atan2(cosine) / std::f64::consts::TAU;
+            (turns * period, sine.hypot(cosine) / grid.len() as f64)
+        };
+        let found = |period: f64| {
+            let (counts, steady) = difference(period);
+            usize::from(counts.abs() < 0.25 && steady > 0.8)
+        };
+        songs += 1;
+        on_count += found(1.0);
+        on_bar += found(4.0);
+    }
+    println!("of {songs} songs {on_count} on the count, {on_bar} in the bar");
+    assert!(
+        songs > 0 && on_count * 5 >= songs * 4,
+        "{on_count} of {songs}"
+    );
+    assert!(on_bar * 2 >= songs, "{on_bar} of {songs}");
 }

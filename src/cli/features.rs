@@ -6,16 +6,18 @@ use anyhow::Context;
 use bailando::{
     CancelToken,
     audio::{self, AudioLimits, AudioRange},
-    features::{FeatureExtractor, Profile, Rate},
+    features::{BeatPhase, FeatureExtractor, Profile, Rate, with_counts},
 };
 use clap::ValueEnum;
+
+use super::Usage;
 
 /// Write a song's music features as a NumPy file
 #[derive(Debug, clap::Args)]
 pub(super) struct FeaturesArgs {
     /// The song: wav, flac, mp3, ogg/vorbis or m4a/aac. A wav already at the rate is not resampled
     audio: PathBuf,
-    /// The file to write: float32 [rows, 438]
+    /// The file to write: float32 [rows, 438], wider by two columns a count period
     #[arg(short, long, value_name = "OUT.npy")]
     output: PathBuf,
     /// Sample rate in Hz: 3840 gives 7.5 rows a second (one per pose code), 30720 gives 60
@@ -24,6 +26,10 @@ pub(super) struct FeaturesArgs {
     /// Which librosa version's numbers
     #[arg(long, value_enum, default_value = "librosa-0.11")]
     profile: ProfileArg,
+    /// Add the place within so many counts (sine and cosine each): a model's manifest says which it
+    /// hears as `count_periods`. At 3840 Hz, with librosa-0.11
+    #[arg(long, value_delimiter = ',', value_name = "N,..", value_parser = clap::value_parser!(u32).range(1..))]
+    count_periods: Vec<u32>,
     /// Longest song in seconds
     #[arg(
         long,
@@ -59,6 +65,13 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
         ProfileArg::Librosa011 => Profile::Librosa011,
         ProfileArg::Librosa081 => Profile::Librosa081,
     };
+    let counts = !args.count_periods.is_empty();
+    if counts && (rate, profile) != (Rate::Conditioning, Profile::Librosa011) {
+        return Err(Usage(
+            "--count-periods goes with --rate 3840 and --profile librosa-0.11".into(),
+        )
+        .into());
+    }
     let name = || args.audio.display().to_string();
     let bytes = fs::read(&args.audio).with_context(name)?;
     // No shortest length here: the features themselves say when a signal is too short.
@@ -69,10 +82,11 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
         ..AudioLimits::default()
     };
     let cancel = CancelToken::new();
+    let rates = [rate.hz(), Rate::Beats.hz()];
     let decoded = audio::decode(
         bytes.into(),
         AudioRange::default(),
-        &[rate.hz()],
+        if counts { &rates[..] } else { &rates[..1] },
         &limits,
         &cancel,
     )
@@ -80,10 +94,15 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
     for warning in &decoded.warnings {
         super::say_error(&format!("warning: {}: {warning}", args.audio.display()));
     }
-    let signal = decoded.signals.first().map_or(&[][..], Vec::as_slice);
-    let rows = FeatureExtractor::new(rate, profile)
-        .extract(signal)
+    let signal = |index: usize| decoded.signals.get(index).map_or(&[][..], Vec::as_slice);
+    let mut rows = FeatureExtractor::new(rate, profile)
+        .extract(signal(0))
         .with_context(name)?;
+    if counts {
+        let beats = FeatureExtractor::new(Rate::Beats, profile).beats(signal(1));
+        let counts = BeatPhase::find(&beats.with_context(name)?, rows.view());
+        rows = with_counts(rows, counts.as_ref(), 0.0, &args.count_periods);
+    }
     ndarray_npy::write_npy(&args.output, &rows)
         .with_context(|| args.output.display().to_string())?;
     super::say(&format!(

@@ -13,7 +13,6 @@ use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange},
     engine::{Choreographer, EngineConfig, GenerationOptions},
-    features::COLUMNS,
     format::{Codes, Dance},
     model::WindowKind,
     motion,
@@ -297,7 +296,7 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
 /// Reads feature rows through a memory-sized view of the file: the reader of whole arrays allocates
 /// what the header declares, true or not.
 fn read_rows(path: &Path) -> anyhow::Result<Array2<f32>> {
-    let name = || format!("{}: not float32 rows of {COLUMNS} columns", path.display());
+    let name = || format!("{}: not a matrix of float32", path.display());
     let bytes = fs::read(path).with_context(|| path.display().to_string())?;
     let rows = ndarray::ArrayView2::<f32>::view_npy(&bytes).with_context(name)?;
     Ok(rows.to_owned())

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     CancelToken, Error, Result,
     audio::{self, AudioError, AudioLimits},
-    features::{COLUMNS, FeatureExtractor, Profile, Rate},
+    features::{BeatPhase, FeatureExtractor, Profile, Rate, with_counts},
     format::{Codes, Dance, MusicInfo, Timings},
     model::{Manifest, ModelDirectory},
     motion::{self, FinishOptions},
@@ -174,7 +174,8 @@ impl Choreographer {
         })
     }
 
-    /// Generates codes and raw motion from feature rows `[rows, 438]`; blocks.
+    /// Generates codes and raw motion from feature rows `[rows, columns]` as the manifest's
+    /// features say (438 columns, and those of its count periods); blocks.
     ///
     /// # Errors
     /// [`EngineError::Option`] for rows of another width or too few, else as
@@ -187,8 +188,8 @@ impl Choreographer {
         progress: Arc<dyn Progress>,
     ) -> Result<RawDance> {
         self.check(options)?;
-        check_rows(&rows)?;
         let manifest = self.manifest();
+        check_rows(&rows, manifest.features.columns)?;
         let defaults = manifest.sampling;
         let seed = options.seed.map_or_else(draw_seed, Ok)?;
         progress.stage(Stage::Generating);
@@ -230,7 +231,11 @@ impl Choreographer {
         cancel: &CancelToken,
     ) -> Result<audio::DecodedAudio> {
         let both = [Rate::Conditioning.hz(), Rate::Beats.hz()];
-        let rates = if options.music { &both[..] } else { &both[..1] };
+        let rates = if self.wants_beats(options) {
+            &both[..]
+        } else {
+            &both[..1]
+        };
         audio::decode(audio, options.range, rates, &self.shared.limits, cancel).map_err(|error| {
             match error {
                 AudioError::Cancelled => EngineError::Cancelled.into(),
@@ -252,22 +257,29 @@ impl Choreographer {
             .conditioning
             .with(|extractor| extractor.extract(signal(0)))?;
         check_cancelled(cancel)?;
-        let music = if options.music {
-            let beats = self
-                .shared
-                .beats
-                .with(|extractor| extractor.beats(signal(1)))?;
-            let seconds = |&frame: &usize| frame as f64 / Rate::Beats.rows_per_second();
-            let beats_s = beats.frames.iter().map(seconds).collect();
-            Some(MusicInfo {
-                tempo_bpm: beats.tempo_bpm,
-                beats_s,
-            })
-        } else {
-            None
-        };
+        if !self.wants_beats(options) {
+            return Ok(Listened { rows, music: None });
+        }
+        let beats = self
+            .shared
+            .beats
+            .with(|extractor| extractor.beats(signal(1)))?;
         check_cancelled(cancel)?;
-        Ok(Listened { rows, music })
+        let periods = &self.manifest().features.count_periods;
+        let counts = BeatPhase::find(&beats, rows.view());
+        let seconds = |&frame: &usize| frame as f64 / Rate::Beats.rows_per_second();
+        Ok(Listened {
+            rows: with_counts(rows, counts.as_ref(), 0.0, periods),
+            music: options.music.then(|| MusicInfo {
+                tempo_bpm: beats.tempo_bpm,
+                beats_s: beats.frames.iter().map(seconds).collect(),
+            }),
+        })
+    }
+
+    /// Whether the caller asks for beats or the model counts them.
+    fn wants_beats(&self, options: &GenerationOptions) -> bool {
+        options.music || !self.manifest().features.count_periods.is_empty()
     }
 }
 
@@ -312,10 +324,10 @@ fn check_cancelled(cancel: &CancelToken) -> Result<(), EngineError> {
     }
 }
 
-fn check_rows(rows: &Array2<f32>) -> Result<(), EngineError> {
-    let problem = if rows.ncols() != COLUMNS || rows.nrows() < 2 {
+fn check_rows(rows: &Array2<f32>, columns: usize) -> Result<(), EngineError> {
+    let problem = if rows.ncols() != columns || rows.nrows() < 2 {
         format!(
-            "expected at least 2 rows of {COLUMNS} columns, got {:?}",
+            "expected at least 2 rows of {columns} columns, got {:?}",
             rows.dim()
         )
     } else if rows.iter().any(|value| !value.is_finite()) {

@@ -16,6 +16,7 @@ mod mel;
 mod mfcc;
 mod onset;
 mod padding;
+mod phase;
 mod settings;
 mod stft;
 mod tempo;
@@ -27,8 +28,11 @@ use std::{fmt, ops::Range};
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-pub use self::error::FeatureError;
 use self::{chain::Chain, settings::Settings};
+pub use self::{
+    error::FeatureError,
+    phase::{BeatPhase, with_counts},
+};
 
 /// Columns of a feature row.
 pub const COLUMNS: usize = 438;

@@ -71,6 +71,10 @@ pub struct FeatureSpec {
     pub hop: usize,
     /// Values per row.
     pub columns: usize,
+    /// Periods in counts whose sine and cosine follow the 438 columns
+    /// ([`with_counts`](crate::features::with_counts)); none: as published.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub count_periods: Vec<u32>,
 }
 
 /// Number of pose codes per half body.
@@ -154,6 +158,8 @@ pub struct FileEntry {
     pub sha256: String,
 }
 
+/// Most count periods that a model may hear of.
+pub const MAX_COUNT_PERIODS: usize = 16;
 /// Highest temperature: beyond it every code is as likely as the next.
 pub const MAX_TEMPERATURE: f32 = 10.0;
 // A directory from a stranger must not make us allocate what it declares; the published sizes are
@@ -207,9 +213,20 @@ impl Manifest {
     fn validate_rates(&self) -> Result<(), String> {
         let features = &self.features;
         let rate = Rate::Conditioning;
-        if features.sample_rate != rate.hz() || features.hop != HOP || features.columns != COLUMNS {
+        let periods = features.count_periods.len();
+        if periods > MAX_COUNT_PERIODS || features.count_periods.contains(&0) {
             return Err(format!(
-                "features are {} columns every {} samples at {} Hz, this version computes {COLUMNS} \
+                "features have {periods} count_periods, expected at most {MAX_COUNT_PERIODS}, none of them 0"
+            ));
+        }
+        // Counts are found with the current chain alone.
+        if periods > 0 && features.profile != Profile::Librosa011 {
+            return Err("features have count_periods, which need the profile librosa-0.11".into());
+        }
+        let columns = COLUMNS + 2 * periods;
+        if features.sample_rate != rate.hz() || features.hop != HOP || features.columns != columns {
+            return Err(format!(
+                "features are {} columns every {} samples at {} Hz, this version computes {columns} \
                  every {HOP} at {}",
                 features.columns,
                 features.hop,

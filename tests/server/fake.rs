@@ -159,6 +159,7 @@ fn manifest() -> Manifest {
             sample_rate: 3_840,
             hop: 512,
             columns: 438,
+            count_periods: Vec::new(),
         },
         fps: 60,
         frames_per_code: 8,

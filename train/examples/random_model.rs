@@ -37,6 +37,7 @@ fn main() -> anyhow::Result<()> {
         name: "random-published-size".into(),
         licence: "MIT".into(),
         profile: Profile::Librosa011,
+        count_periods: Vec::new(),
         start_codes: Vec::new(),
         temperature: 1.0,
         motion_frame: MotionFrame::World,

@@ -158,7 +158,9 @@ fn pairs<S: SplitKind>(
         Some(folder) => FeatureCache::open(folder)?,
         None => FeatureCache::open(&FeatureCache::default_folder()?)?,
     };
-    let mut library = MusicLibrary::new(cache, manifest.features.profile);
+    let features = &manifest.features;
+    let mut library =
+        MusicLibrary::new(cache, features.profile).with_count_periods(&features.count_periods);
     let mut encoder = directory.encoder(1)?;
     let cancel = CancelToken::new();
     let mut pairs = Vec::new();

@@ -9,11 +9,13 @@
 
 mod common;
 
-use std::{ops::Range, path::Path};
+use std::{ops::Range, path::Path, sync::Arc};
 
 use bailando::{
     CancelToken,
-    model::{Gpt, KvCache, Logits, ModelDirectory, Steps, WeightStorage},
+    audio::AudioLimits,
+    engine::{Choreographer, EngineConfig, GenerationOptions},
+    model::{Gpt, KvCache, Logits, ModelDirectory, Steps, WeightStorage, WindowKind},
 };
 use common::{TOLERANCE, assert_close, codes, fixture, floats, imported, rows, shared};
 use ndarray::{Array1, Array2, Axis};
@@ -359,6 +361,39 @@ fn the_bootstrap_model_predicts_the_demo_songs_codes() {
             let expected = [codes.0[k + 1], codes.1[k + 1]];
             assert_eq!(next.map(|code| code as u32), expected, "{window} step {k}");
         }
+    }
+}
+
+/// The engine's own loop over the demo song, by the same independent implementation.
+#[test]
+fn the_engine_repeats_the_bootstrap_models_codes() {
+    let test = "the_engine_repeats_the_bootstrap_models_codes";
+    let Some(folder) = shared(test, "model/bootstrap") else {
+        return;
+    };
+    let (imported, _) = bootstrap(&folder, WeightStorage::F16);
+    let engine = Choreographer::open(&EngineConfig {
+        model_dir: imported.path().join("model"),
+        threads: 1,
+        queue: 1,
+        audio: AudioLimits::default(),
+    })
+    .unwrap();
+    let music = floats(&folder.join("demo_music.npy"));
+    for (window, name) in [(WindowKind::Sliding, "sliding"), (WindowKind::Hop, "hop15")] {
+        let options = GenerationOptions {
+            start_upper: Some(84),
+            start_lower: Some(210),
+            temperature: Some(0.0),
+            window: Some(window),
+            hop: Some(15),
+            ..GenerationOptions::default()
+        };
+        let dance = engine
+            .dance_to_rows(music.clone(), &options, &CancelToken::new(), Arc::new(()))
+            .unwrap();
+        let found = (dance.codes.upper, dance.codes.lower);
+        assert_eq!(found, demo_codes(&folder, name), "{name}");
     }
 }
 

@@ -405,6 +405,7 @@ impl From<ImportArguments> for ImportOptions {
                     ProfileName::Librosa011 => Profile::Librosa011,
                     ProfileName::Librosa081 => Profile::Librosa081,
                 },
+                count_periods: Vec::new(),
                 start_codes: Vec::new(),
                 temperature: arguments.temperature,
                 motion_frame: MotionFrame::World,

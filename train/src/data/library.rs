@@ -10,7 +10,9 @@ use std::{
 use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange, DecodedAudio, decode},
-    features::{COLUMNS, FeatureExtractor, HOP, Profile, Rate},
+    features::{
+        BEAT_COLUMN, BeatPhase, Beats, COLUMNS, FeatureExtractor, HOP, Profile, Rate, with_counts,
+    },
 };
 use ndarray::{Array2, Axis, Slice};
 
@@ -22,6 +24,7 @@ pub struct MusicLibrary {
     profile: Profile,
     extractors: HashMap<u32, FeatureExtractor>,
     computed: usize,
+    count_periods: Vec<u32>,
 }
 
 impl MusicLibrary {
@@ -33,7 +36,15 @@ impl MusicLibrary {
             profile,
             extractors: HashMap::new(),
             computed: 0,
+            count_periods: Vec::new(),
         }
+    }
+
+    /// The same, whose conditioning rows end with the columns of these periods.
+    #[must_use]
+    pub fn with_count_periods(mut self, periods: &[u32]) -> Self {
+        self.count_periods = periods.to_vec();
+        self
     }
 
     /// Songs whose features had to be computed so far.
@@ -54,7 +65,15 @@ impl MusicLibrary {
         phase: usize,
     ) -> Result<Array2<f32>, DataError> {
         match music {
-            MusicSource::Audio(path) => self.one(path, Rate::Conditioning, phase),
+            MusicSource::Audio(path) => {
+                let rows = self.counted_rows(path, phase..phase + 1)?.pop();
+                Ok(rows.unwrap_or_else(|| Array2::zeros((0, COLUMNS))))
+            }
+            MusicSource::DanceRows(path) | MusicSource::Rows(path)
+                if !self.count_periods.is_empty() =>
+            {
+                Err(stored(path, "data.count_periods need the song itself"))
+            }
             MusicSource::DanceRows(path) | MusicSource::Rows(path) if phase > 0 => Err(stored(
                 path,
                 "rows of 7.5 a second cannot be moved by single frames",
@@ -102,11 +121,40 @@ impl MusicLibrary {
         count: usize,
     ) -> Result<Vec<Array2<f32>>, DataError> {
         match music {
-            MusicSource::Audio(path) => self.computed_rows(path, Rate::Conditioning, 0..count),
+            MusicSource::Audio(path) => self.counted_rows(path, 0..count),
             _ => (0..count)
                 .map(|phase| self.conditioning(music, phase))
                 .collect(),
         }
+    }
+
+    /// Conditioning rows of these start phases, with the columns of the count periods behind them.
+    fn counted_rows(
+        &mut self,
+        path: &Path,
+        phases: Range<usize>,
+    ) -> Result<Vec<Array2<f32>>, DataError> {
+        let all = self.computed_rows(path, Rate::Conditioning, phases.clone())?;
+        if self.count_periods.is_empty() {
+            return Ok(all);
+        }
+        let beats = self.one(path, Rate::Beats, 0)?;
+        let beats = beats.column(BEAT_COLUMN).into_iter().enumerate();
+        let beats = Beats {
+            frames: beats
+                .filter(|(_, beat)| **beat > 0.5)
+                .map(|(row, _)| row)
+                .collect(),
+            ..Beats::default()
+        };
+        // Of the whole song, as when it is served.
+        let whole = self.one(path, Rate::Conditioning, 0)?;
+        let counts = BeatPhase::find(&beats, whole.view());
+        let all = all.into_iter().zip(phases).map(|(rows, phase)| {
+            let start_s = phase as f64 / FPS as f64;
+            with_counts(rows, counts.as_ref(), start_s, &self.count_periods)
+        });
+        Ok(all.collect())
     }
 
     fn one(&mut self, path: &Path, rate: Rate, phase: usize) -> Result<Array2<f32>, DataError> {

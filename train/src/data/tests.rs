@@ -258,6 +258,41 @@ fn music_moves_with_the_start_phase() {
 }
 
 #[test]
+fn counts_follow_the_features_of_every_phase() {
+    let folder = good();
+    let song = MusicSource::Audio(folder.path("a.wav"));
+    let plain = library(folder.write()).phases(&song, 4).unwrap();
+    let mut counting = library(folder.write()).with_count_periods(&[1, 4]);
+    let rows = counting.phases(&song, 4).unwrap();
+    for (rows, plain) in rows.iter().zip(&plain) {
+        assert_eq!(rows.dim(), (plain.nrows(), 442));
+        assert_eq!(
+            rows.slice_axis(ndarray::Axis(1), ndarray::Slice::from(..438)),
+            plain
+        );
+        for row in rows.rows() {
+            for pair in [438, 440] {
+                let length = row[pair].hypot(row[pair + 1]);
+                assert!((length - 1.0).abs() < 1e-5, "no angle: {length}");
+            }
+        }
+    }
+    assert_eq!(counting.conditioning(&song, 3).unwrap(), rows[3]);
+    // Clicks every half second from 0.1 s on: rows of 8 frames a second later are at the same place.
+    let angle = |phase: usize, row: usize| rows[phase][[row, 438]].atan2(rows[phase][[row, 439]]);
+    let turn = (angle(3, 30) - angle(0, 30)).rem_euclid(std::f32::consts::TAU);
+    let counts = 3.0 / 60.0 / 0.25;
+    assert!(
+        (turn - counts * std::f32::consts::TAU).abs() < 0.5,
+        "{turn}"
+    );
+
+    let stored = MusicSource::Rows(folder.path("stored.json"));
+    let refused = counting.conditioning(&stored, 0).unwrap_err();
+    assert!(matches!(refused, DataError::StoredRows { .. }), "{refused}");
+}
+
+#[test]
 fn the_synthetic_figure_is_a_person_on_our_skeleton() {
     let skeleton = skeleton(0.93);
     let joints = skeleton.joints.len();

@@ -39,6 +39,7 @@ pub(super) fn manifest(
             sample_rate: Rate::Conditioning.hz(),
             hop: HOP,
             columns: gpt.columns(),
+            count_periods: description.count_periods.clone(),
         },
         fps: FPS,
         frames_per_code: vqvae.frames_per_code(),

@@ -32,6 +32,8 @@ pub struct Description {
     pub licence: String,
     /// Feature chain that the model was trained with.
     pub profile: Profile,
+    /// Periods in counts that the model hears of, behind the features.
+    pub count_periods: Vec<u32>,
     /// Pairs (upper, lower) to draw a start from; empty: any pair.
     pub start_codes: Vec<[u32; 2]>,
     /// Default temperature; 0 takes the most likely code.

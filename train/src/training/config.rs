@@ -2,7 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
+use bailando::{
+    features::Profile,
+    model::{MAX_COUNT_PERIODS, WeightStorage},
+    motion::MotionFrame,
+};
 use serde::{Deserialize, Serialize};
 
 use super::{AblationConfig, TrainError, reward::BeatReward};
@@ -40,6 +44,7 @@ pub struct DataConfig {
     pub frame: MotionFrame,
     pub mirror: bool,
     pub phases: usize,
+    pub count_periods: Vec<u32>,
 }
 
 impl DataConfig {
@@ -118,6 +123,7 @@ pub struct GptConfig {
     pub stride: usize,
     pub phases: usize,
     pub dropout: f64,
+    pub code_noise: f64,
     pub standardise_music: bool,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
@@ -259,6 +265,15 @@ impl Config {
         if phases == 0 || phases > PHASES {
             return Err(format!("data.phases ({phases}) must lie in 1..={PHASES}"));
         }
+        let counts = &self.data.count_periods;
+        if counts.contains(&0) || counts.len() > MAX_COUNT_PERIODS {
+            return Err(format!(
+                "data.count_periods: at most {MAX_COUNT_PERIODS}, each at least 1"
+            ));
+        }
+        if !counts.is_empty() && self.data.profile != Profile::Librosa011 {
+            return Err("data.count_periods need the profile librosa-0.11".into());
+        }
         let gpt = &self.gpt;
         if gpt.phases > phases {
             return Err(format!(
@@ -292,6 +307,13 @@ impl Config {
             Some((name, _)) => Err(format!("{name} must be at least 1")),
             None if !(0.0..1.0).contains(&gpt.dropout) => {
                 Err(format!("gpt.dropout ({}) must lie in 0..1", gpt.dropout))
+            }
+            None if !(0.0..1.0).contains(&gpt.code_noise) => Err(format!(
+                "gpt.code_noise ({}) must lie in 0..1",
+                gpt.code_noise
+            )),
+            None if self.ablation.continuous && gpt.code_noise > 0.0 => {
+                Err("gpt.code_noise: with ablation.continuous there are no codes".into())
             }
             None if self.run.log_steps == 0 => Err("run.log_steps must be at least 1".into()),
             None => Ok(()),
@@ -416,9 +438,12 @@ mod tests {
             "[vqvae]\nuse = \"first\"",
             "[vqvae]\nframes = 60",
             "[data]\nphases = 9",
+            "[data]\ncount_periods = [4, 0]",
+            "[data]\ncount_periods = [4]\nprofile = \"librosa-0.8.1\"",
             "[data]\nframe = \"sideways\"",
             "[gpt]\nheads = 5",
             "[gpt]\nphases = 2",
+            "[gpt]\ncode_noise = 1.0",
             "[gpt.training]\nrate = 0",
             "[actor_critic]\nactor_steps = 0",
             "[actor_critic]\ntemperature = -1.0",

@@ -52,6 +52,7 @@ pub(super) fn write<const N: usize>(
         name: config.export.name.clone(),
         licence: config.export.licence.clone(),
         profile: config.data.profile,
+        count_periods: config.data.count_periods.clone(),
         start_codes: policy.starts.clone(),
         temperature: config.export.temperature,
         motion_frame: config.data.frame,

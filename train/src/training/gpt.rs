@@ -3,6 +3,8 @@
 use std::{collections::BTreeSet, io::Write, path::Path};
 
 use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax, backend::Backend};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 
 use super::{
     Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
@@ -10,7 +12,7 @@ use super::{
     runner::{Losses, Plan, Work},
     saved::Saved,
     vqvae::{Trained, test_means},
-    windows::Windows,
+    windows::{Windows, generator},
 };
 use crate::{
     Tensor,
@@ -266,6 +268,27 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         Device::from_data(TensorData::new(values, shape), &self.device)
     }
 
+    /// The codes, some of them replaced by any others.
+    fn noisy<B: Kernels<Device = A::Device>>(
+        &self,
+        codes: Device<B, 2, Int>,
+        random: &mut ChaCha8Rng,
+    ) -> Device<B, 2, Int> {
+        let share = self.config.gpt.code_noise;
+        let count = self.config.vqvae.codes as i32;
+        let shape = codes.dims();
+        let codes = codes.into_data();
+        let noisy = codes.iter::<i32>().map(|code| {
+            if random.random_bool(share) {
+                random.random_range(0..count)
+            } else {
+                code
+            }
+        });
+        let noisy: Vec<i32> = noisy.collect();
+        Device::from_data(TensorData::new(noisy, shape), &self.device)
+    }
+
     /// Loss, cross-entropy of the upper and of the lower codes that come next; without codes, the
     /// mean square of the vectors' errors.
     fn losses<B: Kernels<Device = A::Device>>(
@@ -274,6 +297,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         (pieces, codes): (&[MotionPiece], &Codes),
         windows: &[Draw],
         dropout: f64,
+        noise: Option<&mut ChaCha8Rng>,
     ) -> [Device<B, 1>; 3] {
         let music = self.music(pieces, windows);
         if self.config.ablation.continuous {
@@ -286,7 +310,10 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             let (upper, lower) = (error(found.upper, 0), error(found.lower, 1));
             return [upper.clone() + lower.clone(), upper, lower];
         }
-        let history = [0, 1].map(|half| self.codes(codes, windows, half, 0));
+        let mut history = [0, 1].map(|half| self.codes(codes, windows, half, 0));
+        if let Some(random) = noise {
+            history = history.map(|codes| self.noisy(codes, random));
+        }
         let logits = self.net.forward(parameters, music, history, dropout);
         let entropy = |logits: Device<B, 3>, half| {
             let targets = self.codes(codes, windows, half, 1).unsqueeze_dim::<3>(2);
@@ -304,7 +331,9 @@ impl<A: Trainable> Work<A> for GptWork<'_, A> {
         let stage = &self.config.gpt;
         let windows = self.windows.batch(step, stage.training.batch);
         let examples = (self.set.training.pieces(), &self.codes);
-        let losses = self.losses(parameters, examples, &windows, stage.dropout);
+        let mut random = generator(self.config.run.seed ^ 0x6E6F_6973, step);
+        let noise = (stage.code_noise > 0.0).then_some(&mut random);
+        let losses = self.losses(parameters, examples, &windows, stage.dropout, noise);
         let [loss, ..] = losses.clone();
         Losses {
             loss,
@@ -320,7 +349,7 @@ impl<A: Trainable> Work<A> for GptWork<'_, A> {
         let stride = stage.block * FRAMES_PER_CODE;
         let windows = test.crops_with_music(stride + FRAMES_PER_CODE, stride);
         test_means(&windows, stage.training.batch, |windows| {
-            self.losses(parameters, (test.pieces(), codes), windows, 0.0)
+            self.losses(parameters, (test.pieces(), codes), windows, 0.0, None)
         })
     }
 

@@ -87,6 +87,9 @@ pub(super) fn settings(config: &Config, stage: Stage) -> Result<String, TrainErr
     if config.run.precision != Precision::F32 {
         settings.push_str(&format!("{:?} ", config.run.precision));
     }
+    if matches!(stage, Stage::Gpt | Stage::ActorCritic) && !data.count_periods.is_empty() {
+        settings.push_str(&format!("counts {:?} ", data.count_periods));
+    }
     for base in stage.bases(config) {
         let sum = fingerprint(config, base)?;
         settings.push_str(&format!("{} {sum}, ", base.name()));

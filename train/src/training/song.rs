@@ -6,7 +6,11 @@ use bailando::features::BEAT_COLUMN;
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use super::{TrainError, config::DataConfig, songs::feature_cache};
+use super::{
+    TrainError,
+    config::DataConfig,
+    songs::{feature_cache, music_library},
+};
 use crate::data::{DataError, MusicLibrary, MusicSource, Portion, Training};
 
 /// A song's features, and where its beats are.
@@ -37,7 +41,7 @@ impl Song {
 /// # Errors
 /// [`TrainError`] names what is wrong with it.
 pub fn target_song(data: &DataConfig, path: &Path) -> Result<Song, TrainError> {
-    let mut library = MusicLibrary::new(feature_cache(data)?, data.profile);
+    let mut library = music_library(data, feature_cache(data)?);
     Ok(Song::read(
         &MusicSource::Audio(path.to_owned()),
         &mut library,
@@ -50,7 +54,7 @@ pub(super) fn training_songs(
     portion: &Portion<Training>,
 ) -> Result<Vec<Song>, TrainError> {
     let cache = feature_cache(data)?;
-    let library = || MusicLibrary::new(cache.clone(), data.profile);
+    let library = || music_library(data, cache.clone());
     let songs = portion.dances().iter().flat_map(|dance| dance.songs());
     let music: BTreeSet<&MusicSource> = songs.filter_map(|song| song.music.as_ref()).collect();
     let songs = music

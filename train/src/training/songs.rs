@@ -25,6 +25,11 @@ pub(super) fn feature_cache(data: &DataConfig) -> Result<FeatureCache, TrainErro
     })
 }
 
+/// What computes features as the settings say.
+pub(super) fn music_library(data: &DataConfig, cache: FeatureCache) -> MusicLibrary {
+    MusicLibrary::new(cache, data.profile).with_count_periods(&data.count_periods)
+}
+
 /// Rows of each of `wanted` for that many start phases, or for one where the song cannot be moved.
 pub(super) fn song_rows(
     data: &DataConfig,
@@ -42,7 +47,7 @@ pub(super) fn song_rows(
     let mut rows = MusicRows::new();
     let mut computed = 0;
     for some in songs.chunks(SONGS_A_LINE) {
-        let library = || MusicLibrary::new(cache.clone(), data.profile);
+        let library = || music_library(data, cache.clone());
         let found = some
             .par_iter()
             .map_init(library, |library, (song, phases)| {

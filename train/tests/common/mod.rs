@@ -61,6 +61,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             name: "tiny".into(),
             licence: "MIT".into(),
             profile: Profile::Librosa081,
+            count_periods: Vec::new(),
             start_codes: Vec::new(),
             temperature: 0.0,
             motion_frame: MotionFrame::World,

@@ -1,0 +1,296 @@
+//! Where a moment lies within the count, the bar and the phrase.
+//!
+//! Column 53 marks beats one row at a time, two rows late at 7.5 rows a second (FEATURES section 8), and
+//! trackers find the count in one song and half of it in the next. A dancer needs to know how far the next
+//! count is, and which one it is: that is what these columns say.
+
+use std::f64::consts::TAU;
+
+use ndarray::{Array2, ArrayView2, Axis, Slice};
+
+use super::{Beats, CHROMA_COLUMNS, Rate};
+
+/// Counts per minute are brought into this octave: dancers count neither slower nor faster.
+const SLOWEST_COUNT_BPM: f64 = 130.0;
+/// Counts of a bar, and of a phrase of two bars.
+const BAR: usize = 4;
+const PHRASE: usize = 8;
+/// Fewer beats have no regular distance.
+const MIN_BEATS: usize = 4;
+/// Rows on either side of a count that are compared: about one count at 180 a minute.
+const NOVELTY_ROWS: usize = 3;
+
+/// The counts of a song.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BeatPhase {
+    /// Seconds of each count, ascending.
+    counts_s: Vec<f64>,
+    /// Usual distance of two counts in seconds: that before the first and after the last, too.
+    period_s: f64,
+    /// Count of a phrase that the first one is.
+    first: usize,
+}
+
+impl BeatPhase {
+    /// Counts from beats tracked at [`Rate::Beats`]. Bars and phrases begin where the harmony of `rows`
+    /// (`[rows, 438]` at [`Rate::Conditioning`]) changes most. None without regular beats.
+    #[must_use]
+    pub fn find(beats: &Beats, rows: ArrayView2<'_, f32>) -> Option<Self> {
+        let a_second = Rate::Beats.rows_per_second();
+        let seconds = beats.frames.iter().map(|&frame| frame as f64 / a_second);
+        let beats_s: Vec<f64> = seconds.collect();
+        let chroma = rows.slice_axis(Axis(1), Slice::from(CHROMA_COLUMNS));
+        Self::of_beats(&beats_s, chroma)
+    }
+
+    fn of_beats(beats_s: &[f64], chroma: ArrayView2<'_, f32>) -> Option<Self> {
+        if beats_s.len() < MIN_BEATS {
+            return None;
+        }
+        let beat_s = median_distance(beats_s);
+        if !(beat_s.is_finite() && beat_s > 0.0) {
+            return None;
+        }
+        let counts_s = in_octave(beats_s, beat_s);
+        let period_s = median_distance(&counts_s);
+        let first = first_count(&counts_s, chroma);
+        Some(Self {
+            counts_s,
+            period_s,
+            first,
+        })
+    }
+
+    /// Counts since the start of a phrase before the song, at `seconds` from the song's start:
+    /// 8 times a whole number at the start of a phrase.
+    #[must_use]
+    pub fn at(&self, seconds: f64) -> f64 {
+        let after = self.counts_s.partition_point(|&count| count <= seconds);
+        let (Some(&start), Some(&end)) = (self.counts_s.first(), self.counts_s.last()) else {
+            return 0.0;
+        };
+        let counts = match after.checked_sub(1) {
+            None => (seconds - start) / self.period_s,
+            Some(before) => match (self.counts_s.get(before), self.counts_s.get(after)) {
+                (Some(from), Some(to)) => before as f64 + (seconds - from) / (to - from),
+                _ => before as f64 + (seconds - end) / self.period_s,
+            },
+        };
+        counts + self.first as f64
+    }
+
+    /// Sine and cosine of the place within each of `periods` (in counts), `[rows, 2 periods]`: row `k` at
+    /// `k` conditioning rows after `start_s`.
+    #[must_use]
+    pub fn columns(&self, rows: usize, start_s: f64, periods: &[u32]) -> Array2<f32> {
+        let mut columns = Array2::zeros((rows, 2 * periods.len()));
+        for (row, mut values) in columns.rows_mut().into_iter().enumerate() {
+            let counts = self.at(start_s + row as f64 / Rate::Conditioning.rows_per_second());
+            let angles = periods
+                .iter()
+                .map(|&period| TAU * counts / f64::from(period.max(1)));
+            for (value, angle) in values
+                .iter_mut()
+                .zip(angles.flat_map(|angle| [angle.sin(), angle.cos()]))
+            {
+                *value = angle as f32;
+            }
+        }
+        columns
+    }
+}
+
+/// Feature rows `[rows, 438]` that begin `start_s` after the song did, with the columns of `periods`
+/// behind them; zeros where there are no counts. `rows` as they are without periods.
+#[must_use]
+pub fn with_counts(
+    rows: Array2<f32>,
+    counts: Option<&BeatPhase>,
+    start_s: f64,
+    periods: &[u32],
+) -> Array2<f32> {
+    if periods.is_empty() {
+        return rows;
+    }
+    let length = rows.nrows();
+    let columns = match counts {
+        Some(counts) => counts.columns(length, start_s, periods),
+        None => Array2::zeros((length, 2 * periods.len())),
+    };
+    let width = rows.ncols();
+    Array2::from_shape_fn(
+        (length, width + columns.ncols()),
+        |(row, column)| match column.checked_sub(width) {
+            None => rows[[row, column]],
+            Some(column) => columns[[row, column]],
+        },
+    )
+}
+
+fn median_distance(times: &[f64]) -> f64 {
+    let mut distances: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    distances.sort_by(f64::total_cmp);
+    distances.get(distances.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The beats, divided or thinned by powers of two until they are counts.
+fn in_octave(beats_s: &[f64], beat_s: f64) -> Vec<f64> {
+    let longest = 60.0 / SLOWEST_COUNT_BPM;
+    let (mut counts, mut distance) = (beats_s.to_vec(), beat_s);
+    while distance > longest {
+        let halves = counts
+            .windows(2)
+            .flat_map(|pair| [pair[0], (pair[0] + pair[1]) / 2.0]);
+        let last = counts.last().copied();
+        counts = halves.chain(last).collect();
+        distance /= 2.0;
+    }
+    while distance <= longest / 2.0 {
+        counts = counts.into_iter().step_by(2).collect();
+        distance *= 2.0;
+    }
+    counts
+}
+
+/// Which count of a phrase the first one is: the bar starts where changes of harmony add up to most,
+/// the phrase at the stronger of its two bars.
+fn first_count(counts_s: &[f64], chroma: ArrayView2<'_, f32>) -> usize {
+    let mut changes = [0.0; PHRASE];
+    for (place, &count) in counts_s.iter().enumerate() {
+        changes[place % PHRASE] += novelty(chroma, count);
+    }
+    let bar = |place: usize| changes[place] + changes[place + BAR];
+    let bar_start = (0..BAR)
+        .max_by(|&a, &b| bar(a).total_cmp(&bar(b)))
+        .unwrap_or(0);
+    let start = if changes[bar_start] >= changes[bar_start + BAR] {
+        bar_start
+    } else {
+        bar_start + BAR
+    };
+    (PHRASE - start) % PHRASE
+}
+
+/// How different the harmony is after a moment: 1 less the cosine of the mean chroma on both sides.
+fn novelty(chroma: ArrayView2<'_, f32>, seconds: f64) -> f64 {
+    let row = (seconds * Rate::Conditioning.rows_per_second())
+        .round()
+        .max(0.0) as usize;
+    let sum = |from: usize, to: usize| {
+        let mut sum = [0.0_f64; 12];
+        for row in from..to.min(chroma.nrows()) {
+            for (sum, &value) in sum.iter_mut().zip(chroma.row(row)) {
+                *sum += f64::from(value);
+            }
+        }
+        sum
+    };
+    let before = sum(row.saturating_sub(NOVELTY_ROWS), row);
+    let after = sum(row, row + NOVELTY_ROWS);
+    let dot = |a: &[f64; 12], b: &[f64; 12]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let lengths = (dot(&before, &before) * dot(&after, &after)).sqrt();
+    if lengths > 0.0 {
+        1.0 - dot(&before, &after) / lengths
+    } else {
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ROWS: usize = 225;
+
+    /// Rows whose harmony changes every `bar_s`, first at `first_s`.
+    fn rows(first_s: f64, bar_s: f64) -> Array2<f32> {
+        Array2::from_shape_fn((ROWS, super::super::COLUMNS), |(row, column)| {
+            let seconds = row as f64 / Rate::Conditioning.rows_per_second();
+            let bar = ((seconds - first_s) / bar_s).floor().rem_euclid(3.0) as usize;
+            let note = column.checked_sub(CHROMA_COLUMNS.start);
+            if note == Some(4 * bar) { 1.0 } else { 0.1 }
+        })
+    }
+
+    fn every(period_frames: f64, first: f64) -> Beats {
+        let frames = (0..).map(|beat| first + f64::from(beat) * period_frames);
+        Beats {
+            tempo_bpm: 3_600.0 / period_frames,
+            frames: frames
+                .map(|frame| frame.round() as usize)
+                .take_while(|&frame| frame < 1_750)
+                .collect(),
+        }
+    }
+
+    fn distance(counts: f64, period: f64) -> f64 {
+        (counts - period * (counts / period).round()).abs()
+    }
+
+    #[test]
+    fn counts_are_found_from_beats_twice_as_slow_or_fast_and_bars_from_harmony() {
+        // 180 counts a minute are 20 frames each; bars of four begin at 0.5 s.
+        let rows = rows(0.5, 4.0 / 3.0);
+        for (period, first) in [(20.0, 10.0), (40.0, 10.0), (40.0, 30.0), (10.0, 10.0)] {
+            let counts = BeatPhase::find(&every(period, first), rows.view()).unwrap();
+            for bar in 0..18 {
+                let seconds = 0.5 + f64::from(bar) * 4.0 / 3.0;
+                let phase = counts.at(seconds);
+                assert!(distance(phase, 4.0) < 0.15, "{period} {first}: {phase}");
+                let later = counts.at(seconds + 1.0 / 3.0);
+                assert!(
+                    (later - phase - 1.0).abs() < 0.1,
+                    "{period}: {phase} {later}"
+                );
+            }
+            // Before the first and after the last beat as well.
+            assert!(distance(counts.at(0.5 - 4.0 / 3.0), 4.0) < 0.15);
+            assert!(distance(counts.at(0.5 + 40.0), 4.0) < 0.3);
+        }
+    }
+
+    #[test]
+    fn columns_are_sines_and_cosines_and_move_with_the_start() {
+        let rows = rows(0.5, 4.0 / 3.0);
+        let counts = BeatPhase::find(&every(20.0, 10.0), rows.view()).unwrap();
+        let columns = counts.columns(20, 0.0, &[1, 4]);
+        assert_eq!(columns.dim(), (20, 4));
+        for (row, values) in columns.rows().into_iter().enumerate() {
+            let phase = counts.at(row as f64 / 7.5);
+            for (place, period) in [(0, 1.0), (2, 4.0)] {
+                let angle = (TAU * phase / period) as f32;
+                assert!((values[place] - angle.sin()).abs() < 1e-4);
+                assert!((values[place + 1] - angle.cos()).abs() < 1e-4);
+            }
+        }
+        let later = counts.columns(10, 3.0 / 7.5, &[1, 4]);
+        let difference = |(row, column): (usize, usize)| {
+            (later[[row, column]] - columns[[row + 3, column]]).abs()
+        };
+        assert!((0..10).all(|row| (0..4).all(|column| difference((row, column)) < 1e-4)));
+    }
+
+    #[test]
+    fn without_regular_beats_there_are_zeros() {
+        let rows = rows(0.5, 1.0);
+        let few = Beats {
+            frames: vec![10, 20, 30],
+            ..Beats::default()
+        };
+        let stuck = Beats {
+            frames: vec![10; 9],
+            ..Beats::default()
+        };
+        for beats in [Beats::default(), few, stuck] {
+            assert_eq!(BeatPhase::find(&beats, rows.view()), None);
+        }
+        let wide = with_counts(rows.clone(), None, 0.0, &[1, 2, 4]);
+        assert_eq!(wide.dim(), (ROWS, super::super::COLUMNS + 6));
+        assert!(
+            wide.slice_axis(Axis(1), Slice::from(-6..))
+                .iter()
+                .all(|&value| value == 0.0)
+        );
+        assert_eq!(with_counts(rows.clone(), None, 0.0, &[]), rows);
+    }
+}
