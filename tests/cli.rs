@@ -217,7 +217,10 @@ fn rows_that_declare_more_than_they_hold_are_refused() {
     std::fs::write(rows, bytes).expect("written");
     let (code, message) = fail(&["generate", "--features", &rows_text, "--codes-out", &codes]);
     assert_eq!(code, Some(1), "{message}");
-    assert!(message.contains("rows.npy: not float32 rows"), "{message}");
+    assert!(
+        message.contains("rows.npy: not a matrix of float32"),
+        "{message}"
+    );
 }
 
 #[test]

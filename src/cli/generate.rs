@@ -112,7 +112,7 @@ struct SongArgs {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Feature rows instead of audio")]
 struct RowsArgs {
-    /// Feature rows, float32 [rows, 438], as `bailando features` writes them
+    /// Feature rows, float32 [rows, columns of the model], as `bailando features` writes them
     #[arg(
         long,
         value_name = "F.npy",

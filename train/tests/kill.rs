@@ -22,6 +22,11 @@ use std::{
     time::{Duration, SystemTime},
 };
 
+use bailando::{
+    CancelToken,
+    audio::AudioLimits,
+    engine::{Choreographer, EngineConfig, GenerationOptions},
+};
 use bailando_train::export::skeleton;
 use rand_chacha::{
     ChaCha8Rng,
@@ -52,6 +57,13 @@ fn settings(data: &Path, folder: &Path, checkpoint_seconds: f64) -> PathBuf {
     };
     set("data", "folder", text(data.to_owned()));
     set("data", "cache", text(data.join("features")));
+    // What the published settings leave out has random numbers of its own, and columns of its own.
+    set(
+        "data",
+        "count_periods",
+        vec![Value::from(1), 4.into()].into(),
+    );
+    set("gpt", "code_noise", 0.1.into());
     set("run", "folder", text(folder.join("run")));
     set("run", "log_steps", 2.into());
     set("run", "test_steps", 5.into());
@@ -138,6 +150,33 @@ fn same(whole: &Path, broken: &Path) {
     }
 }
 
+/// The engine dances to a song with the model, counts included.
+fn dances(model: &Path, song: &Path) {
+    let engine = Choreographer::open(&EngineConfig {
+        model_dir: model.to_owned(),
+        threads: 1,
+        queue: 1,
+        audio: AudioLimits::default(),
+    })
+    .unwrap();
+    let features = &engine.manifest().features;
+    assert_eq!(
+        (features.columns, &features.count_periods[..]),
+        (442, &[1, 4][..])
+    );
+    let options = GenerationOptions {
+        seed: Some(1),
+        ..GenerationOptions::default()
+    };
+    let song = fs::read(song).unwrap();
+    let dance = engine
+        .generate(song.into(), &options, &CancelToken::new())
+        .unwrap();
+    assert_eq!(dance.positions.dim(), (10 * 60 + 8, 24, 3));
+    assert_eq!(dance.music, None, "beats that were not asked for");
+    assert!(dance.positions.iter().all(|value| value.is_finite()));
+}
+
 #[test]
 fn a_run_that_is_killed_ends_as_one_that_is_not() {
     let seed = std::env::var(SEED).ok().map(|seed| seed.parse().unwrap());
@@ -163,6 +202,8 @@ fn a_run_that_is_killed_ends_as_one_that_is_not() {
         }
         assert_eq!(has("best.safetensors"), tested, "{stage}");
     }
+
+    dances(&model, &data.path("a.wav"));
 
     for (stage, (name, ..)) in STAGES.iter().enumerate() {
         let step = 1 + random.next_u64() % (STEPS / 2);
