@@ -124,10 +124,22 @@ pub struct GptConfig {
     pub phases: usize,
     pub dropout: f64,
     pub code_noise: f64,
+    pub hear: Hear,
     pub standardise_music: bool,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
     pub keep: Keep,
+}
+
+/// Which music columns the GPT is given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Hear {
+    /// All, as published.
+    All,
+    /// Onsets, beats and counts. Few songs are told apart by timbre and harmony alone, and a new one
+    /// sounds like none of them.
+    Rhythm,
 }
 
 /// Stage `actor-critic`.

@@ -3,12 +3,14 @@
 use std::{collections::BTreeSet, io::Write, path::Path};
 
 use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax, backend::Backend};
+use ndarray::ArrayView1;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::{
     Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
     codes::{Augmentation, Codes},
+    config::{GptConfig, Hear},
     runner::{Losses, Plan, Work},
     saved::Saved,
     vqvae::{Trained, test_means},
@@ -21,9 +23,13 @@ use crate::{
     nn::{GptNet, GptSizes, Kernels, Parameters, Store, Trainable, random_gpt},
     weights::{GptWeights, Linear},
 };
+use bailando::features::{BEAT_COLUMN, COLUMNS, ONSET_COLUMN};
 
 /// Music columns that hardly move are not blown up beyond this.
 const SMALLEST_SPREAD: f32 = 1e-3;
+
+/// The spread of a column that is not heard: the largest that can be saved.
+const MUTED: f32 = f32::MAX;
 
 /// Mean and spread of each music column; training sees `(row - mean) / spread`.
 #[derive(Clone, Debug)]
@@ -34,14 +40,32 @@ pub(super) struct MusicScale {
 
 impl MusicScale {
     /// Over the first phase of all songs; dances weigh the same however many songs they have.
-    fn measure(dances: &Dances<Training>, columns: usize, wanted: bool) -> Self {
+    fn measure(dances: &Dances<Training>, columns: usize, config: &GptConfig) -> Self {
         let mut scale = Self {
             mean: vec![0.0; columns],
             spread: vec![1.0; columns],
         };
-        if !wanted {
-            return scale;
+        if config.standardise_music {
+            scale.standardise(dances);
         }
+        if config.hear == Hear::Rhythm {
+            scale
+                .mute(|column| column < COLUMNS && column != ONSET_COLUMN && column != BEAT_COLUMN);
+        }
+        scale
+    }
+
+    /// Without some columns: they weigh nothing, here and when folded.
+    fn mute(&mut self, is_muted: impl Fn(usize) -> bool) {
+        for (column, spread) in self.spread.iter_mut().enumerate() {
+            if is_muted(column) {
+                *spread = MUTED;
+            }
+        }
+    }
+
+    fn standardise(&mut self, dances: &Dances<Training>) {
+        let columns = self.mean.len();
         let (mut total, mut sums) = (0.0_f64, vec![[0.0_f64; 2]; columns]);
         for piece in dances.pieces() {
             let weight = 1.0 / piece.songs().len() as f64;
@@ -56,17 +80,30 @@ impl MusicScale {
         for (column, [sum, squares]) in sums.into_iter().enumerate() {
             let mean = sum / total;
             let variance = (squares / total - mean * mean).max(0.0);
-            scale.mean[column] = mean as f32;
-            scale.spread[column] = (variance.sqrt() as f32).max(SMALLEST_SPREAD);
+            self.mean[column] = mean as f32;
+            self.spread[column] = (variance.sqrt() as f32).max(SMALLEST_SPREAD);
         }
-        scale
+    }
+
+    /// A row as training sees it.
+    pub(super) fn seen<'a>(&'a self, row: ArrayView1<'a, f32>) -> impl Iterator<Item = f32> + 'a {
+        let scale = self.mean.iter().zip(&self.spread);
+        row.into_iter()
+            .zip(scale)
+            .map(|(&value, (mean, &spread))| match spread {
+                MUTED => 0.0,
+                spread => (value - mean) / spread,
+            })
     }
 
     /// The same map for rows that are not scaled: what is exported.
     pub(super) fn fold(&self, music: &Linear) -> Linear {
         let columns = self.mean.len();
         let weight = Tensor::from_fn(music.weight.shape().to_vec(), |flat| {
-            music.weight.data()[flat] / self.spread[flat % columns]
+            match self.spread[flat % columns] {
+                MUTED => 0.0,
+                spread => music.weight.data()[flat] / spread,
+            }
         });
         let bias = Tensor::from_fn(music.bias.shape().to_vec(), |channel| {
             let row = weight.data()[channel * columns..].iter().zip(&self.mean);
@@ -85,7 +122,10 @@ impl MusicScale {
             music.bias.data()[channel] + row.map(|(weight, mean)| weight * mean).sum::<f32>()
         });
         let weight = Tensor::from_fn(music.weight.shape().to_vec(), |flat| {
-            music.weight.data()[flat] * self.spread[flat % columns]
+            match self.spread[flat % columns] {
+                MUTED => 0.0,
+                spread => music.weight.data()[flat] * spread,
+            }
         });
         Linear { weight, bias }
     }
@@ -160,7 +200,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         let codes = encode(set.training.pieces(), data.mirror, config.gpt_phases());
         let test_codes = set.test.as_ref();
         let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
-        let scale = MusicScale::measure(&set.training, columns, stage.standardise_music);
+        let scale = MusicScale::measure(&set.training, columns, stage);
         let mut store = Store::default();
         let mut net = config
             .ablation
@@ -256,12 +296,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             let rows = pieces[window.dance].songs()[window.song].phase(window.phase);
             for row in rows_beside(window.codes(block * FRAMES_PER_CODE)) {
                 let row = rows.row(row);
-                let scale = self.scale.mean.iter().zip(&self.scale.spread);
-                values.extend(
-                    row.iter()
-                        .zip(scale)
-                        .map(|(x, (mean, spread))| (x - mean) / spread),
-                );
+                values.extend(self.scale.seen(row));
             }
         }
         let shape = [windows.len(), block, columns];
@@ -372,5 +407,50 @@ impl<A: Trainable> Work<A> for GptWork<'_, A> {
         self.scale.mean = saved.tensor("music.mean")?.data().to_vec();
         self.scale.spread = saved.tensor("music.spread")?.data().to_vec();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folded_scale_gives_plain_rows_what_training_saw_and_muted_columns_nothing() {
+        let mut scale = MusicScale {
+            mean: vec![1.0, -2.0, 30.0],
+            spread: vec![0.5, 4.0, 10.0],
+        };
+        scale.mute(|column| column == 2);
+        let trained = Linear {
+            weight: Tensor::from_fn(vec![2, 3], |flat| flat as f32 - 2.0),
+            bias: Tensor::from_fn(vec![2], |channel| channel as f32),
+        };
+        let apply = |linear: &Linear, row: [f32; 3]| {
+            [0, 1].map(|channel| {
+                let weights = &linear.weight.data()[3 * channel..][..3];
+                let sum: f32 = weights.iter().zip(row).map(|(weight, x)| weight * x).sum();
+                linear.bias.data()[channel] + sum
+            })
+        };
+        let folded = scale.fold(&trained);
+        for row in [[0.0, 0.0, 0.0], [3.0, 1.0, -7.0], [3.0, 1.0, 900.0]] {
+            let seen =
+                [0, 1, 2].map(|column| (row[column] - scale.mean[column]) / scale.spread[column]);
+            let (plain, wanted) = (apply(&folded, row), apply(&trained, seen));
+            for (plain, wanted) in plain.into_iter().zip(wanted) {
+                assert!((plain - wanted).abs() < 1e-4, "{plain} {wanted}");
+            }
+        }
+        let back = scale.unfold(&folded);
+        let heard =
+            [0, 1, 3, 4].map(|flat| (back.weight.data()[flat], trained.weight.data()[flat]));
+        assert!(
+            heard
+                .iter()
+                .all(|(back, weight)| (back - weight).abs() < 1e-5),
+            "{heard:?}"
+        );
+        assert_eq!(back.bias.data(), trained.bias.data());
+        assert!([2, 5].iter().all(|&flat| folded.weight.data()[flat] == 0.0));
     }
 }

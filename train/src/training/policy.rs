@@ -110,9 +110,13 @@ impl Policy {
 
     /// Music rows as the weights in the store take them.
     pub(super) fn scaled(&self, rows: &Array2<f32>) -> Array2<f32> {
-        Array2::from_shape_fn(rows.dim(), |(row, column)| {
-            (rows[[row, column]] - self.scale.mean[column]) / self.scale.spread[column]
-        })
+        let mut scaled = Array2::zeros(rows.dim());
+        for (mut scaled, row) in scaled.rows_mut().into_iter().zip(rows.rows()) {
+            for (scaled, value) in scaled.iter_mut().zip(self.scale.seen(row)) {
+                *scaled = value;
+            }
+        }
+        scaled
     }
 
     /// The weights for plain features: the scale is folded in.
