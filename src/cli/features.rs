@@ -6,7 +6,7 @@ use anyhow::Context;
 use bailando::{
     CancelToken,
     audio::{self, AudioLimits, AudioRange},
-    features::{BeatPhase, FeatureExtractor, Profile, Rate, with_counts},
+    features::{FeatureExtractor, Profile, Rate, with_counts_of},
 };
 use clap::ValueEnum;
 
@@ -100,8 +100,7 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
         .with_context(name)?;
     if counts {
         let beats = FeatureExtractor::new(Rate::Beats, profile).beats(signal(1));
-        let counts = BeatPhase::find(&beats.with_context(name)?, rows.view());
-        rows = with_counts(rows, counts.as_ref(), 0.0, &args.count_periods);
+        rows = with_counts_of(&beats.with_context(name)?, rows, &args.count_periods);
     }
     ndarray_npy::write_npy(&args.output, &rows)
         .with_context(|| args.output.display().to_string())?;

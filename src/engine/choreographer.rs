@@ -18,7 +18,7 @@ use super::{
 use crate::{
     CancelToken, Error, Result,
     audio::{self, AudioError, AudioLimits},
-    features::{BeatPhase, FeatureExtractor, Profile, Rate, with_counts},
+    features::{FeatureExtractor, Profile, Rate, with_counts_of},
     format::{Codes, Dance, MusicInfo, Timings},
     model::{Manifest, ModelDirectory},
     motion::{self, FinishOptions},
@@ -266,13 +266,11 @@ impl Choreographer {
             .with(|extractor| extractor.beats(signal(1)))?;
         check_cancelled(cancel)?;
         let periods = &self.manifest().features.count_periods;
-        let counts = BeatPhase::find(&beats, rows.view());
-        let seconds = |&frame: &usize| frame as f64 / Rate::Beats.rows_per_second();
         Ok(Listened {
-            rows: with_counts(rows, counts.as_ref(), 0.0, periods),
+            rows: with_counts_of(&beats, rows, periods),
             music: options.music.then(|| MusicInfo {
                 tempo_bpm: beats.tempo_bpm,
-                beats_s: beats.frames.iter().map(seconds).collect(),
+                beats_s: beats.seconds().collect(),
             }),
         })
     }

@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 use self::{chain::Chain, settings::Settings};
 pub use self::{
     error::FeatureError,
-    phase::{BeatPhase, with_counts},
+    phase::{BeatPhase, with_counts, with_counts_of},
 };
 
 /// Columns of a feature row.
@@ -102,6 +102,16 @@ pub struct Beats {
     pub tempo_bpm: f64,
     /// Row indices of the beats (column 53), ascending.
     pub frames: Vec<usize>,
+}
+
+impl Beats {
+    /// Seconds of the beats, where they were tracked at [`Rate::Beats`].
+    pub fn seconds(&self) -> impl Iterator<Item = f64> + '_ {
+        let a_second = Rate::Beats.rows_per_second();
+        self.frames
+            .iter()
+            .map(move |&frame| frame as f64 / a_second)
+    }
 }
 
 /// Every stage of the chain on one song; `T` rows.

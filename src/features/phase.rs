@@ -36,23 +36,21 @@ impl BeatPhase {
     /// (`[rows, 438]` at [`Rate::Conditioning`]) changes most. None without regular beats.
     #[must_use]
     pub fn find(beats: &Beats, rows: ArrayView2<'_, f32>) -> Option<Self> {
-        let a_second = Rate::Beats.rows_per_second();
-        let seconds = beats.frames.iter().map(|&frame| frame as f64 / a_second);
-        let beats_s: Vec<f64> = seconds.collect();
-        let chroma = rows.slice_axis(Axis(1), Slice::from(CHROMA_COLUMNS));
-        Self::of_beats(&beats_s, chroma)
-    }
-
-    fn of_beats(beats_s: &[f64], chroma: ArrayView2<'_, f32>) -> Option<Self> {
+        let beats_s: Vec<f64> = beats.seconds().collect();
         if beats_s.len() < MIN_BEATS {
             return None;
         }
-        let beat_s = median_distance(beats_s);
-        if !(beat_s.is_finite() && beat_s > 0.0) {
+        let beat_s = median_distance(&beats_s);
+        if beat_s <= 0.0 {
             return None;
         }
-        let counts_s = in_octave(beats_s, beat_s);
+        let counts_s = in_octave(&beats_s, beat_s);
         let period_s = median_distance(&counts_s);
+        if period_s <= 0.0 {
+            // A few beats in one moment: thinned to a single count.
+            return None;
+        }
+        let chroma = rows.slice_axis(Axis(1), Slice::from(CHROMA_COLUMNS));
         let first = first_count(&counts_s, chroma);
         Some(Self {
             counts_s,
@@ -98,6 +96,17 @@ impl BeatPhase {
         }
         columns
     }
+}
+
+/// A song's feature rows `[rows, 438]` with the columns of `periods` behind them, its `beats` tracked at
+/// [`Rate::Beats`].
+#[must_use]
+pub fn with_counts_of(beats: &Beats, rows: Array2<f32>, periods: &[u32]) -> Array2<f32> {
+    if periods.is_empty() {
+        return rows;
+    }
+    let counts = BeatPhase::find(beats, rows.view());
+    with_counts(rows, counts.as_ref(), 0.0, periods)
 }
 
 /// Feature rows `[rows, 438]` that begin `start_s` after the song did, with the columns of `periods`
@@ -281,7 +290,12 @@ mod tests {
             frames: vec![10; 9],
             ..Beats::default()
         };
-        for beats in [Beats::default(), few, stuck] {
+        // Thinned into the octave, one count is left of these.
+        let brief = Beats {
+            frames: vec![10, 11, 12, 13],
+            ..Beats::default()
+        };
+        for beats in [Beats::default(), few, stuck, brief] {
             assert_eq!(BeatPhase::find(&beats, rows.view()), None);
         }
         let wide = with_counts(rows.clone(), None, 0.0, &[1, 2, 4]);

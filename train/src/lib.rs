@@ -2,8 +2,8 @@
 //!
 //! [`checkpoint`] (a file to tensors) → [`weights`] (tensors to networks) → [`onnx`] (networks to
 //! graphs) → [`export`] (graphs and manifest to a model directory). [`import`] goes all the way,
-//! [`training`] makes weights of [`data`], [`encode`] sends recordings through a model, [`music_gap`] says whether it hears, [`cli`] parses
-//! and prints.
+//! [`training`] makes weights of [`data`], [`encode`] sends recordings through a model, [`music_gap`]
+//! says whether it hears, [`cli`] parses and prints.
 
 pub mod checkpoint;
 pub mod cli;

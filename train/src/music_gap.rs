@@ -120,12 +120,13 @@ fn measure<S: SplitKind>(
             let from = Slice::from(rows.min(pair.rows.nrows())..);
             Some(pair.rows.slice_axis(Axis(0), from))
         };
-        let after = pairs.iter().cycle().skip(place + 1).take(pairs.len());
-        let other = after
-            .filter(|other| other.dance != pair.dance)
-            .map(|other| other.rows.view());
+        let (before, after) = pairs.split_at(place);
         // Two dancers of one take share their songs.
-        let other = { other }.find(|rows| *rows != pair.rows);
+        let other = after
+            .iter()
+            .chain(before)
+            .find(|other| other.dance != pair.dance && other.rows != pair.rows)
+            .map(|other| other.rows.view());
         let variants = [other, shifted(1.0), shifted(HALF_BAR)];
         let own = listener.entropies(pair, pair.rows.view())?;
         own.iter().for_each(|&entropy| right.add(entropy));
@@ -154,10 +155,7 @@ fn pairs<S: SplitKind>(
     cache: Option<&Path>,
 ) -> Result<Vec<Pair>, EncodeError> {
     let manifest = directory.manifest();
-    let cache = match cache {
-        Some(folder) => FeatureCache::open(folder)?,
-        None => FeatureCache::open(&FeatureCache::default_folder()?)?,
-    };
+    let cache = FeatureCache::open_or_default(cache)?;
     let features = &manifest.features;
     let mut library =
         MusicLibrary::new(cache, features.profile).with_count_periods(&features.count_periods);

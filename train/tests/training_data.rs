@@ -55,7 +55,7 @@ fn config(data: &Path, out: &Path) -> Config {
 fn run(config: &Config) -> String {
     let mut output = Vec::new();
     for (stage, load, _) in STAGES {
-        let set = MotionSet::read(&config.data, load, &mut output).unwrap();
+        let set = MotionSet::read(config, load, &mut output).unwrap();
         let outcome = train(stage, config, &set, None, Limits::default(), &mut output);
         assert_eq!(outcome.unwrap(), Outcome::Finished);
     }
@@ -103,7 +103,7 @@ fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
     let entries = fs::read_dir(&config.data.cache).unwrap().count();
     assert_eq!(entries, 3 * 2 + 1);
     let mut report = Vec::new();
-    MotionSet::read(&config.data, Load::Music, &mut report).unwrap();
+    MotionSet::read(&config, Load::Music, &mut report).unwrap();
     assert!(report.is_empty(), "all of it is in the cache");
 }
 
@@ -147,7 +147,7 @@ fn the_references_files_train_with_their_own_rows() {
     config.data.frame = MotionFrame::World;
     run(&config);
     assert_eq!(shape(&config, "velocity", "weight.root.output.bias"), [3]);
-    let set = MotionSet::read(&config.data, Load::Music, &mut Vec::new()).unwrap();
+    let set = MotionSet::read(&config, Load::Music, &mut Vec::new()).unwrap();
     assert_eq!(set.test.unwrap().pieces().len(), 1);
 }
 
@@ -167,16 +167,16 @@ fn aist_dances_train_and_find_their_songs_in_a_folder_of_their_own() {
     // The fixture has 12 frames.
     (config.vqvae.frames, config.velocity.frames) = (8, 8);
     for (stage, _, _) in &STAGES[..2] {
-        let set = MotionSet::read(&config.data, Load::Motion, &mut Vec::new()).unwrap();
+        let set = MotionSet::read(&config, Load::Motion, &mut Vec::new()).unwrap();
         let limits = Limits::default();
         train(*stage, &config, &set, None, limits, &mut Vec::new()).unwrap();
     }
-    let set = MotionSet::read(&config.data, Load::Music, &mut Vec::new()).unwrap();
+    let set = MotionSet::read(&config, Load::Music, &mut Vec::new()).unwrap();
     let dance = &set.training.pieces()[0];
     assert_eq!((dance.frames(), dance.songs().len()), (12, 1));
     assert!(set.test.is_none());
     config.data.audio = root;
-    let refused = MotionSet::read(&config.data, Load::Music, &mut Vec::new()).unwrap_err();
+    let refused = MotionSet::read(&config, Load::Music, &mut Vec::new()).unwrap_err();
     assert!(
         refused
             .to_string()

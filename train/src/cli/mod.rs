@@ -75,7 +75,7 @@ fn train_stage(
         arguments.init.is_none() || stage != Stage::Velocity,
         "velocity has no --init: it starts from the VQ-VAE of the run"
     );
-    let set = MotionSet::read(&config.data, stage.load(), output)?;
+    let set = MotionSet::read(&config, stage.load(), output)?;
     let (init, limits) = (arguments.init.as_deref(), arguments.limits());
     let outcome = train(stage, &config, &set, init, limits, output)?;
     report_outcome(outcome, output)

@@ -83,6 +83,17 @@ impl FeatureCache {
         Ok(cache.join("bailando").join("features"))
     }
 
+    /// Uses `folder`, or without one [`FeatureCache::default_folder`].
+    ///
+    /// # Errors
+    /// As of those two.
+    pub fn open_or_default(folder: Option<&Path>) -> Result<Self, DataError> {
+        match folder {
+            Some(folder) => Self::open(folder),
+            None => Self::open(&Self::default_folder()?),
+        }
+    }
+
     /// The folder.
     #[must_use]
     pub fn folder(&self) -> &Path {

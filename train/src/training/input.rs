@@ -7,7 +7,6 @@ use ndarray::Array2;
 
 use super::{
     Config, Stage, TrainError,
-    config::DataConfig,
     keep::settings,
     song::{Song as Target, training_songs},
     songs::{MusicRows, song_rows},
@@ -256,11 +255,8 @@ impl MotionSet {
     ///
     /// # Errors
     /// [`TrainError`] names the first file that cannot be used.
-    pub fn read(
-        data: &DataConfig,
-        load: Load,
-        output: &mut impl Write,
-    ) -> Result<Self, TrainError> {
+    pub fn read(config: &Config, load: Load, output: &mut impl Write) -> Result<Self, TrainError> {
+        let data = &config.data;
         let options = OpenOptions {
             audio: data.audio_folder().map(Into::into),
         };
@@ -281,7 +277,7 @@ impl MotionSet {
                     wanted.extend(
                         songs(dance.songs())
                             .into_iter()
-                            .map(|song| (song, data.phases)),
+                            .map(|song| (song, config.gpt_phases())),
                     );
                 }
                 for dance in test.iter().flat_map(Portion::dances) {

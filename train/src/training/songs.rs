@@ -19,10 +19,7 @@ const SONGS_A_LINE: usize = 16;
 
 /// The cache that the settings name.
 pub(super) fn feature_cache(data: &DataConfig) -> Result<FeatureCache, TrainError> {
-    Ok(match data.cache_folder() {
-        Some(folder) => FeatureCache::open(folder)?,
-        None => FeatureCache::open(&FeatureCache::default_folder()?)?,
-    })
+    Ok(FeatureCache::open_or_default(data.cache_folder())?)
 }
 
 /// What computes features as the settings say.

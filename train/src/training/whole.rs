@@ -72,7 +72,7 @@ fn read_once<'a>(
 ) -> Result<&'a MotionSet, TrainError> {
     let (_, set) = match known.take() {
         Some(same) if same.0 == load => known.insert(same),
-        _ => known.insert((load, MotionSet::read(&config.data, load, output)?)),
+        _ => known.insert((load, MotionSet::read(config, load, output)?)),
     };
     Ok(set)
 }
