@@ -50,7 +50,7 @@ curl python3 util-linux; cargo from https://rustup.rs"
 mirror() {
     # shellcheck disable=SC2016 # apt fills the field in
     apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' "Codename: $suite" \
-        'Origin: Debian' 'Component: main' 2>/dev/null | head -n 1
+        'Origin: Debian' 'Component: main' 2>/dev/null | sed -n 1p
 }
 
 make_debian() {
@@ -180,7 +180,7 @@ inside() {
 # The innermost child of the job: the server itself, below this shell and unshare.
 server_pid() {
     local pid=$job child
-    while child=$(pgrep --parent "$pid" | head -n 1) && [ -n "$child" ]; do
+    while child=$(pgrep --parent "$pid" | sed -n 1p) && [ -n "$child" ]; do
         pid=$child
     done
     echo "$pid"
