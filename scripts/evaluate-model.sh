@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The figures of a model card: the test split of a data folder danced to by a model, three times, and
-# measured against the recordings; the recordings through its VQ-VAE alone, measured the same way; and
-# whether it hears.
+# measured against the recordings; the recordings through its VQ-VAE alone, measured the same way;
+# whether it hears; and five dances each to songs of other genres (and DATA/demo/demo.flac, if there is one).
 # Usage: scripts/evaluate-model.sh [MODEL [DATA [OUT]]]
 #   MODEL  model directory           (default models/default)
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
@@ -24,23 +24,29 @@ for piece in json.load(open(sys.argv[1]))["pieces"]:
 }
 
 rm -rf "$out/dances"
+# dance SONG OUT SEED
+dance() {
+    "$bailando" generate "$1" -o "$2" --model-dir "$model" --music false --seed "$3" --threads 1 \
+        > "$out/generate.log" 2>&1 || { cat "$out/generate.log" >&2; exit 1; }
+}
+
 for seed in 1 2 3; do
     mkdir -p "$out/dances/seed$seed"
     number=0
     while read -r id audio; do
         number=$((number + 1))
-        "$bailando" generate "$data/$audio" -o "$out/dances/seed$seed/$id.json" --model-dir "$model" \
-            --music false --seed $((seed * 1000 + number)) --threads 1 > "$out/generate.log" 2>&1 ||
-            { cat "$out/generate.log" >&2; exit 1; }
+        dance "$data/$audio" "$out/dances/seed$seed/$id.json" $((seed * 1000 + number))
     done < <(pieces)
 done
 measure() {
-    "$bailando" evaluate --reference "$data" --split test --window 300 --stride 150 \
-        --beats "$data/test_beats.json" "$@"
+    "$bailando" evaluate --reference "$data" --window 300 --stride 150 "$@"
+}
+measure_test() {
+    measure --split test --beats "$data/test_beats.json" "$@"
 }
 
 printf '## Dances\n\n'
-measure --generated "$out/dances" --seeds 3 --plot "$out/evaluation.svg"
+measure_test --generated "$out/dances" --seeds 3 --plot "$out/evaluation.svg"
 
 rm -rf "$out/encoded" "$out/reconstructed"
 "$trainer" encode "$data" --model-dir "$model" --out "$out/encoded" --reconstruct > "$out/encode.log"
@@ -56,7 +62,22 @@ for piece in pieces:
     os.link(f"{out}/encoded/{first[piece['motion']]}.npy", f"{out}/reconstructed/{piece['id']}.npy")
 PY
 printf '\n## Recordings through the VQ-VAE alone\n\n'
-measure --generated "$out/reconstructed"
+measure_test --generated "$out/reconstructed"
 
 printf '\n## What it hears\n\n'
 "$trainer" music-gap "$data" --model-dir "$model"
+
+rm -rf "$out/songs" "$out/new"
+scripts/compose-songs.py "$out/songs"
+if [ -f "$data/demo/demo.flac" ]; then
+    ln -s "$(realpath "$data/demo/demo.flac")" "$out/songs/demo.flac"
+fi
+for seed in 1 2 3 4 5; do
+    mkdir -p "$out/new/seed$seed"
+    for song in "$out"/songs/*; do
+        name=$(basename "${song%.*}")
+        dance "$song" "$out/new/seed$seed/$name.json" "$seed"
+    done
+done
+printf '\n## Songs it never met\n\n'
+measure --generated "$out/new" --seeds 5 --new-songs "$out/songs"

@@ -23,6 +23,9 @@ pub(super) struct EvaluateArgs {
     /// Audio files by piece: music beats are column 53 of their features
     #[arg(long, value_name = "DIR", conflicts_with = "beats")]
     music: Option<PathBuf>,
+    /// Audio files of songs that are no pieces of the reference, which generated dances are named after
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["beats", "music", "split"])]
+    new_songs: Option<PathBuf>,
     /// Music beats: {"beats": {piece or audio file: [frame, ..]}}, frames at 60 a second
     #[arg(long, value_name = "F.json")]
     beats: Option<PathBuf>,
@@ -64,10 +67,11 @@ impl EvaluateArgs {
             generated: self.generated.clone(),
             reference: self.reference.clone(),
             split: self.split.clone(),
-            beats: match (&self.beats, &self.music) {
-                (Some(file), _) => BeatsFrom::File(file.clone()),
-                (None, Some(folder)) => BeatsFrom::Audio(folder.clone()),
-                (None, None) => BeatsFrom::Reference,
+            beats: match (&self.beats, &self.music, &self.new_songs) {
+                (Some(file), ..) => BeatsFrom::File(file.clone()),
+                (None, Some(folder), _) => BeatsFrom::Audio(folder.clone()),
+                (None, None, Some(folder)) => BeatsFrom::NewSongs(folder.clone()),
+                (None, None, None) => BeatsFrom::Reference,
             },
             clips: match self.window {
                 None => Clips::default(),

@@ -25,6 +25,10 @@ pub enum Metric {
     DanceBeatsPerSecond,
     /// Share of frames slower than 0.15 m/s.
     SlowFrames,
+    /// Share of 5 s windows with at least a tenth of such frames.
+    SluggishWindows,
+    /// Share of such frames in the slowest 5 s window of all.
+    SlowestWindow,
     /// Mean joint speed, m/s.
     MeanSpeed,
     /// Mean length of the third derivative, m/s^3.
@@ -57,7 +61,7 @@ pub enum Wanted {
 /// Key, title, wanted direction and decimals.
 struct Row(Metric, &'static str, &'static str, Wanted, usize);
 
-const ROWS: [Row; 18] = [
+const ROWS: [Row; 20] = [
     Row(Metric::FidK, "fid_k", "FID_k", Wanted::Low, 3),
     Row(Metric::FidG, "fid_g", "FID_g", Wanted::Low, 3),
     Row(Metric::DivK, "div_k", "Div_k", Wanted::Alike, 3),
@@ -102,6 +106,20 @@ const ROWS: [Row; 18] = [
         "slow_frames",
         "share of frames below 0.15 m/s",
         Wanted::Alike,
+        4,
+    ),
+    Row(
+        Metric::SluggishWindows,
+        "sluggish_windows",
+        "share of 5 s windows with a tenth of such frames",
+        Wanted::Low,
+        4,
+    ),
+    Row(
+        Metric::SlowestWindow,
+        "slowest_window",
+        "their share in the slowest 5 s window",
+        Wanted::Low,
         4,
     ),
     Row(

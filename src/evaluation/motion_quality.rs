@@ -10,6 +10,12 @@ use super::{
 
 /// A frame whose mean joint speed is below this is slow, m/s.
 const SLOW: f64 = 0.15;
+/// Speeds per window that is looked at for freezing: five seconds.
+const WINDOW: usize = 300;
+/// Speeds from one such window to the next.
+const WINDOW_HOP: usize = 150;
+/// A window with this share of slow frames, or more, is sluggish.
+const SLUGGISH: f64 = 0.1;
 /// A foot is taken to stand while it is in the lowest quarter of its heights.
 const STANDING_SHARE: f64 = 0.25;
 
@@ -24,6 +30,12 @@ pub struct MotionQuality {
     pub mean_speed: f64,
     /// Share of frames with a mean joint speed below 0.15 m/s.
     pub slow_frames: f64,
+    /// Five-second windows, every 2.5 s; a shorter motion is one.
+    pub windows: usize,
+    /// Those of them with at least a tenth of slow frames.
+    pub sluggish_windows: usize,
+    /// Share of slow frames in the slowest window.
+    pub slowest_window: f64,
     /// Minima of the smoothed speed per second.
     pub dance_beats_per_second: f64,
 }
@@ -34,19 +46,38 @@ impl MotionQuality {
     pub fn new(poses: &[Pose]) -> Self {
         let speed = speed(poses);
         let steps = speed.len().max(1) as f64;
-        let slow = speed
-            .iter()
-            .filter(|&&s| s * FRAMES_PER_SECOND < SLOW)
-            .count();
+        let windows = slow_shares_of_windows(&speed);
         let seconds = poses.len().max(1) as f64 / FRAMES_PER_SECOND;
         Self {
             foot_skate: 0.5 * (foot_skate(poses, LEFT_TOES) + foot_skate(poses, RIGHT_TOES)),
             jerk: jerk(poses),
             mean_speed: speed.iter().sum::<f64>() / steps * FRAMES_PER_SECOND,
-            slow_frames: slow as f64 / steps,
+            slow_frames: slow_share(&speed),
+            windows: windows.len(),
+            sluggish_windows: windows.iter().filter(|&&share| share >= SLUGGISH).count(),
+            slowest_window: windows.iter().copied().fold(0.0, f64::max),
             dance_beats_per_second: dance_beats(&speed).len() as f64 / seconds,
         }
     }
+}
+
+fn slow_share(speed: &[f64]) -> f64 {
+    let slow = speed
+        .iter()
+        .filter(|&&step| step * FRAMES_PER_SECOND < SLOW)
+        .count();
+    slow as f64 / speed.len().max(1) as f64
+}
+
+fn slow_shares_of_windows(speed: &[f64]) -> Vec<f64> {
+    if speed.len() < WINDOW {
+        return vec![slow_share(speed)];
+    }
+    speed
+        .windows(WINDOW)
+        .step_by(WINDOW_HOP)
+        .map(slow_share)
+        .collect()
 }
 
 fn jerk(poses: &[Pose]) -> f64 {
@@ -132,6 +163,18 @@ mod tests {
         let quality = MotionQuality::new(&walk);
         close(quality.mean_speed, 0.55);
         close(quality.slow_frames, 0.5);
+    }
+
+    #[test]
+    fn a_dance_that_stops_for_two_seconds_has_sluggish_windows() {
+        // 20 s with a stop from 10.5 to 12.5 s: windows that begin at 7.5 and 10 s hold all of it.
+        let stopped = poses(1201, |t, _| DVec3::X * (t - (t - 10.5).clamp(0.0, 2.0)));
+        let quality = MotionQuality::new(&stopped);
+        assert_eq!((quality.windows, quality.sluggish_windows), (7, 2));
+        close(quality.slowest_window, 0.4);
+        let short = poses(61, |t, _| DVec3::X * t);
+        let quality = MotionQuality::new(&short);
+        assert_eq!((quality.windows, quality.sluggish_windows), (1, 0));
     }
 
     #[test]

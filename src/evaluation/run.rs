@@ -30,6 +30,8 @@ pub enum BeatsFrom {
     File(PathBuf),
     /// A folder of audio files.
     Audio(PathBuf),
+    /// The same, for songs that are no pieces of the reference; its own row has no beats then.
+    NewSongs(PathBuf),
 }
 
 /// What to evaluate, and how.
@@ -123,6 +125,7 @@ fn generated_sets(
         let set = DanceSet::load(&folder, split)?;
         let set = match options.split {
             Some(_) => only_split(set, reference, split, &folder, warnings)?,
+            None if matches!(options.beats, BeatsFrom::NewSongs(_)) => set,
             None => {
                 set.pieces
                     .iter()
@@ -260,11 +263,15 @@ fn music_beats(
     reference: &Reference,
     sets: &[NamedSet],
 ) -> Result<Option<MusicBeats>, EvaluationError> {
-    let all = std::iter::once(&reference.test).chain(sets.iter().map(|(_, set)| set));
+    let own = std::iter::once(&reference.test)
+        .filter(|_| !matches!(options.beats, BeatsFrom::NewSongs(_)));
+    let all = own.chain(sets.iter().map(|(_, set)| set));
     let pieces = all.flat_map(|set| set.pieces.iter().map(|piece| piece.id.as_str()));
     match &options.beats {
         BeatsFrom::File(path) => MusicBeats::from_file(path, pieces, reference).map(Some),
-        BeatsFrom::Audio(folder) => MusicBeats::from_audio(folder, pieces, reference).map(Some),
+        BeatsFrom::Audio(folder) | BeatsFrom::NewSongs(folder) => {
+            MusicBeats::from_audio(folder, pieces, reference).map(Some)
+        }
         BeatsFrom::Reference => Ok(MusicBeats::from_grid(pieces, reference)),
     }
 }

@@ -197,6 +197,17 @@ fn score_quality(scores: &mut Scores, motions: &[Motion]) {
     mean(Metric::MeanSpeed, |q| q.mean_speed);
     mean(Metric::Jerk, |q| q.jerk);
     mean(Metric::FootSkate, |q| q.foot_skate);
+    score_freezing(scores, &each);
+}
+
+fn score_freezing(scores: &mut Scores, each: &[MotionQuality]) {
+    let windows: usize = each.iter().map(|quality| quality.windows).sum();
+    let sluggish: usize = each.iter().map(|quality| quality.sluggish_windows).sum();
+    if windows > 0 {
+        scores.set(Metric::SluggishWindows, sluggish as f64 / windows as f64);
+        let slowest = each.iter().map(|quality| quality.slowest_window);
+        scores.set(Metric::SlowestWindow, slowest.fold(0.0, f64::max));
+    }
 }
 
 fn score_beats(scores: &mut Scores, set: &DanceSet, beats: &MusicBeats, seed: u64) {

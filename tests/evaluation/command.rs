@@ -277,3 +277,28 @@ fn music_is_heard_in_audio_files() {
     let margin = report.generated.get(Metric::BeatMargin).unwrap();
     close(margin, score - chance, 1e-9, "margin");
 }
+
+#[test]
+fn dances_to_new_songs_are_no_pieces_of_the_reference() {
+    let (folder, reference, generated) = folders();
+    let songs = folder.path().join("songs");
+    std::fs::create_dir(&songs).unwrap();
+    let demo = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/audio/demo_44k1_8s.wav");
+    for at in 0..3 {
+        let name = format!("new{at}");
+        std::fs::copy(&demo, songs.join(&name).with_extension("wav")).unwrap();
+        let dance = generated.join(format!("song{at}.npy"));
+        std::fs::rename(dance, generated.join(name).with_extension("npy")).unwrap();
+    }
+    let new = EvaluationOptions {
+        beats: BeatsFrom::NewSongs(songs.clone()),
+        ..options(&generated, &reference)
+    };
+    let report = evaluate(&new).unwrap();
+    assert!(report.generated.get(Metric::BeatMargin).is_some());
+    assert_eq!(report.reference.get(Metric::BeatAlign), None);
+    assert!(report.generated.get(Metric::FidK).is_some());
+    std::fs::remove_file(songs.join("new1.wav")).unwrap();
+    let problem = evaluate(&new).unwrap_err().to_string();
+    assert!(problem.contains("no audio named new1"), "{problem}");
+}

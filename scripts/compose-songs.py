@@ -1,0 +1,150 @@
+#!/usr/bin/env python3
+"""Composes three half-minute songs that no model was trained on, as WAV files.
+
+Usage: scripts/compose-songs.py FOLDER
+
+Hip-hop at 90 beats a minute, house at 128, drum and bass at 175. The same bytes on every run: noise
+comes from a seeded generator. Python's standard library is all it needs.
+"""
+
+import array
+import math
+import pathlib
+import random
+import sys
+import wave
+
+RATE = 22050
+SECONDS = 30.0
+SIXTEENTHS_PER_BAR = 16
+
+
+def envelope(length, attack, decay):
+    """Samples that rise for `attack` seconds and then fall by 1/e every `decay` seconds."""
+    for i in range(int(length * RATE)):
+        t = i / RATE
+        yield min(t / attack, 1.0) * math.exp(-max(t - attack, 0.0) / decay)
+
+
+def kick(_noise):
+    phase, samples = 0.0, []
+    for i, level in enumerate(envelope(0.25, 0.002, 0.07)):
+        phase += 2 * math.pi * (48 + 110 * math.exp(-i / RATE / 0.025)) / RATE
+        samples.append(0.9 * level * math.sin(phase))
+    return samples
+
+
+def snare(noise):
+    tone = 2 * math.pi * 185 / RATE
+    return [
+        level * (0.45 * noise.uniform(-1, 1) + 0.3 * math.sin(tone * i))
+        for i, level in enumerate(envelope(0.2, 0.001, 0.055))
+    ]
+
+
+def hat(noise, decay=0.02):
+    samples, before = [], 0.0
+    for level in envelope(5 * decay, 0.001, decay):
+        now = noise.uniform(-1, 1)
+        # The difference of neighbours is a simple high pass.
+        samples.append(0.16 * level * (now - before))
+        before = now
+    return samples
+
+
+def tone(midi, length, decay, overtones):
+    step = 2 * math.pi * 440 * 2 ** ((midi - 69) / 12) / RATE
+    return [
+        level * sum(gain * math.sin(step * (k + 1) * i) for k, gain in enumerate(overtones))
+        for i, level in enumerate(envelope(length, 0.008, decay))
+    ]
+
+
+class Song:
+    """A song on a grid of sixteenths."""
+
+    def __init__(self, bpm):
+        self.sixteenth = 60 / bpm / 4
+        self.samples = [0.0] * int(SECONDS * RATE)
+        self.bars = math.ceil(SECONDS / (self.sixteenth * SIXTEENTHS_PER_BAR))
+
+    def add(self, bar, place, sound, gain=1.0):
+        start = round((bar * SIXTEENTHS_PER_BAR + place) * self.sixteenth * RATE)
+        for i, sample in enumerate(sound[: max(len(self.samples) - start, 0)], start):
+            self.samples[i] += gain * sample
+
+    def write(self, path):
+        loudest = max(abs(sample) for sample in self.samples)
+        pcm = array.array("h", (round(28000 * sample / loudest) for sample in self.samples))
+        if sys.byteorder == "big":
+            pcm.byteswap()
+        with wave.open(str(path), "wb") as file:
+            file.setnchannels(1)
+            file.setsampwidth(2)
+            file.setframerate(RATE)
+            file.writeframes(pcm.tobytes())
+
+
+def hip_hop():
+    song, noise = Song(90), random.Random(90)
+    drums = {kick: (0, 7, 10), snare: (4, 12), hat: (0, 2, 4, 6, 8, 10, 12, 14, 15)}
+    chords = [(57, 60, 64), (53, 57, 60), (50, 53, 57), (52, 56, 59)]
+    for bar in range(song.bars):
+        for drum, places in drums.items():
+            for place in places:
+                song.add(bar, place, drum(noise))
+        chord = chords[bar % 4]
+        for place in (0, 7, 10):
+            song.add(bar, place, tone(chord[0] - 24, 0.5, 0.25, (0.5, 0.1)))
+        for note in chord:
+            song.add(bar, 2, tone(note, 1.2, 0.5, (0.12, 0.05, 0.02)))
+    return song
+
+
+def house():
+    song, noise = Song(128), random.Random(128)
+    chords = [(60, 63, 67, 70), (58, 62, 65, 69), (56, 60, 63, 67), (55, 58, 62, 65)]
+    for bar in range(song.bars):
+        for beat in range(0, SIXTEENTHS_PER_BAR, 4):
+            song.add(bar, beat, kick(noise))
+            song.add(bar, beat + 2, hat(noise, 0.05))
+        for place in (4, 12):
+            song.add(bar, place, snare(noise), 0.8)
+        chord = chords[bar // 2 % 4]
+        for place in (2, 6, 10, 14):
+            song.add(bar, place, tone(chord[0] - 24, 0.2, 0.12, (0.5, 0.2, 0.1)))
+        for place in (3, 6, 11):
+            for note in chord:
+                song.add(bar, place, tone(note, 0.3, 0.1, (0.1, 0.06, 0.04, 0.02)))
+    return song
+
+
+def drum_and_bass():
+    song, noise = Song(175), random.Random(175)
+    drums = {kick: (0, 10), snare: (4, 12), hat: (0, 2, 4, 6, 7, 8, 10, 12, 14)}
+    roots = (38, 38, 34, 36)
+    for bar in range(song.bars):
+        for drum, places in drums.items():
+            for place in places:
+                song.add(bar, place, drum(noise))
+        root = roots[bar // 2 % 4]
+        for place in (0, 3, 6, 10):
+            song.add(bar, place, tone(root, 0.35, 0.2, (0.5, 0.25, 0.15)))
+        if bar % 2 == 0:
+            for note in (24, 27, 31):
+                song.add(bar, 0, tone(root + note, 2.5, 1.2, (0.08, 0.03)))
+    return song
+
+
+def main():
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    folder = pathlib.Path(sys.argv[1])
+    folder.mkdir(parents=True, exist_ok=True)
+    songs = {"hip_hop_90": hip_hop, "house_128": house, "drum_and_bass_175": drum_and_bass}
+    for name, compose in songs.items():
+        compose().write(folder / f"{name}.wav")
+
+
+if __name__ == "__main__":
+    main()
