@@ -100,8 +100,8 @@ impl BeatScore {
             return None;
         }
         Some(Self {
-            align: nearness(&music, dance_beats),
-            align_dance: nearness(dance_beats, &music),
+            align: beat_nearness(&music, dance_beats),
+            align_dance: beat_nearness(dance_beats, &music),
             chance: (frames > 2 * LEAST_SHIFT).then(|| chance(frames, &music, dance_beats, random)),
         })
     }
@@ -114,14 +114,15 @@ fn chance(frames: usize, music: &[usize], dance: &[usize], random: &mut impl Rng
             .iter()
             .map(|beat| (beat + shift) % (frames - 1))
             .collect();
-        nearness(&shifted, dance)
+        beat_nearness(&shifted, dance)
     });
     scores.sum::<f64>() / SHIFTS as f64
 }
 
 /// Mean over `beats` of `exp(-d^2 / (2 * 3^2))`, `d` frames to the nearest of `others` (ascending);
 /// 0 when either is empty.
-fn nearness(beats: &[usize], others: &[usize]) -> f64 {
+#[must_use]
+pub fn beat_nearness(beats: &[usize], others: &[usize]) -> f64 {
     if beats.is_empty() {
         return 0.0;
     }

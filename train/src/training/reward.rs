@@ -1,7 +1,9 @@
 //! What a generated dance is worth, code by code (paper Eq. 12-14, ARCHITECTURE section 6).
 
+use std::ops::Range;
+
 use bailando::{
-    evaluation::{Pose, dance_beats, speed},
+    evaluation::{Pose, beat_nearness, dance_beats, speed},
     motion::Positions,
 };
 use glam::DVec3;
@@ -24,6 +26,10 @@ pub enum BeatReward {
     /// Of the published program: 1 for a code with a music beat and a dance beat, else -1. Five
     /// times this is its `(music beat x dance beat - 0.5) x 10`.
     Reference,
+    /// Ours: the mean over the code's beats, those of the music and those of the dance, of their
+    /// nearness to the other's (the terms of Eq. 15), from -1 to 1; 0 for a code without any. Eight frames
+    /// are coarser than Eq. 15 is, and without the dance's beats more of them would pay.
+    Align,
 }
 
 /// How rewards are weighed: `beat_weight * R_b + consistency_weight * R_c` (Eq. 12).
@@ -58,18 +64,15 @@ impl RewardRule {
     #[must_use]
     pub fn rewards(&self, positions: &Positions, music_beats: &[bool]) -> Vec<Reward> {
         let poses = poses(positions);
-        let mut dance = vec![false; poses.len()];
-        for beat in dance_beats(&speed(&poses)) {
-            dance[beat] = true;
-        }
+        let dance = dance_beats(&speed(&poses));
+        let music = music_beats.iter().enumerate();
+        let music: Vec<usize> = music
+            .filter_map(|(frame, &beat)| beat.then_some(frame))
+            .collect();
         let codes = poses.chunks(FRAMES_PER_CODE).enumerate();
         let rewards = codes.map(|(code, poses)| {
             let first = code * FRAMES_PER_CODE;
-            let holds = |beats: &[bool]| {
-                let frames = beats.iter().skip(first).take(poses.len());
-                frames.copied().any(|beat| beat)
-            };
-            let beat = self.beat.of(holds(music_beats), holds(&dance));
+            let beat = self.beat.of(&music, &dance, first..first + poses.len());
             self.weighed(beat, consistency(poses))
         });
         rewards.collect()
@@ -85,13 +88,28 @@ impl RewardRule {
 }
 
 impl BeatReward {
-    fn of(self, music: bool, dance: bool) -> f64 {
+    /// Of the code of some frames, given all beats in ascending order.
+    fn of(self, music: &[usize], dance: &[usize], frames: Range<usize>) -> f64 {
+        let [of_music, of_dance] = [music, dance].map(|beats| within(beats, &frames));
+        let (has_music, has_dance) = (!of_music.is_empty(), !of_dance.is_empty());
         let good = match self {
-            Self::Paper => dance || !music,
-            Self::Reference => dance && music,
+            Self::Paper => has_dance || !has_music,
+            Self::Reference => has_dance && has_music,
+            Self::Align => {
+                let beats = of_music.len() + of_dance.len();
+                let sum = of_music.len() as f64 * beat_nearness(of_music, dance)
+                    + of_dance.len() as f64 * beat_nearness(of_dance, music);
+                return 2.0 * sum / beats.max(1) as f64 - f64::from(u8::from(beats > 0));
+            }
         };
         if good { 1.0 } else { -1.0 }
     }
+}
+
+/// Those of ascending beats that lie within `frames`.
+fn within<'a>(beats: &'a [usize], frames: &Range<usize>) -> &'a [usize] {
+    let place = |frame: usize| beats.partition_point(|&beat| beat < frame);
+    &beats[place(frames.start)..place(frames.end)]
 }
 
 /// Eq. 14: the smallest product of the halves' facings over the frames where it is negative, else 1.
@@ -192,13 +210,26 @@ mod tests {
     #[test]
     fn beat_rewards_are_as_defined() {
         let cases = [(false, false), (false, true), (true, false), (true, true)];
-        let paper = cases.map(|(music, dance)| BeatReward::Paper.of(music, dance));
+        let of = |rule: BeatReward, music: bool, dance: bool| {
+            let beats = |any: bool, at: usize| if any { vec![3, at, 40] } else { vec![3, 40] };
+            rule.of(&beats(music, 16), &beats(dance, 23), 16..24)
+        };
+        let paper = cases.map(|(music, dance)| of(BeatReward::Paper, music, dance));
         assert_eq!(paper, [1.0, 1.0, -1.0, 1.0]);
         for (music, dance) in cases {
             let product = f64::from(u8::from(music && dance));
-            let found = 5.0 * BeatReward::Reference.of(music, dance);
+            let found = 5.0 * of(BeatReward::Reference, music, dance);
             assert_eq!(found, (product - 0.5) * 10.0);
         }
+        let near = |d: f64| (-d * d / 18.0).exp();
+        let align = |music: &[usize], dance: &[usize]| BeatReward::Align.of(music, dance, 16..24);
+        assert_eq!(align(&[3, 40], &[15, 24]), 0.0);
+        assert_eq!(align(&[20], &[20]), 1.0);
+        assert_eq!(align(&[20], &[]), -1.0);
+        // A music beat beside a dance beat of the next code; two dance beats, one of them far off.
+        assert!((align(&[22], &[25]) - (2.0 * near(3.0) - 1.0)).abs() < 1e-12);
+        let mean = (near(1.0) + near(1.0) + near(6.0)) / 3.0;
+        assert!((align(&[23], &[17, 22]) - (2.0 * mean - 1.0)).abs() < 1e-12);
     }
 
     /// Everything moves along x with a speed that is slowest at frames 20, 60, 100, ..
