@@ -14,6 +14,7 @@ use std::{
     process::{Command, Output},
 };
 
+use bailando::model::{Manifest, ModelDirectory};
 use ndarray::{Array2, Array3};
 
 const SONG: &str = "tests/fixtures/audio/demo.ogg";
@@ -47,6 +48,12 @@ fn fail(arguments: &[&str]) -> (Option<i32>, String) {
         output.status.code(),
         String::from_utf8_lossy(&output.stderr).into_owned(),
     )
+}
+
+fn default_manifest() -> Manifest {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default");
+    let directory = ModelDirectory::open(&folder).expect("the default model");
+    directory.manifest().clone()
 }
 
 fn path(folder: &Path, name: &str) -> (PathBuf, String) {
@@ -229,17 +236,25 @@ fn features_and_rows_give_the_codes_of_the_song() {
     let (rows_path, rows_text) = path(folder.path(), "rows.npy");
     let (codes_path, codes_text) = path(folder.path(), "codes.npy");
     let (positions_path, positions_text) = path(folder.path(), "positions.npy");
-    succeed(&["features", SONG, "-o", &rows_text]);
+    let model = default_manifest();
+    let [upper, lower] = model.start_codes[0].map(|code| code.to_string());
+    let periods = model.features.count_periods.iter().map(u32::to_string);
+    let periods = periods.collect::<Vec<_>>().join(",");
+    let mut features = vec!["features", SONG, "-o", &rows_text];
+    if !periods.is_empty() {
+        features.extend(["--count-periods", &periods]);
+    }
+    succeed(&features);
     let rows: Array2<f32> = ndarray_npy::read_npy(rows_path).expect("npy");
-    assert_eq!(rows.dim(), (226, 438));
+    assert_eq!(rows.dim(), (226, model.features.columns));
     succeed(&[
         "generate",
         "--features",
         &rows_text,
         "--start-upper",
-        "84",
+        &upper,
         "--start-lower",
-        "210",
+        &lower,
         "--window",
         "hop",
         "--hop",
@@ -254,7 +269,8 @@ fn features_and_rows_give_the_codes_of_the_song() {
     let codes: Array2<i64> = ndarray_npy::read_npy(codes_path).expect("npy");
     let positions: Array3<f32> = ndarray_npy::read_npy(positions_path).expect("npy");
     assert_eq!(codes.dim(), (2, 226));
-    assert_eq!((codes[[0, 0]], codes[[1, 0]]), (84, 210));
+    let first = [codes[[0, 0]], codes[[1, 0]]];
+    assert_eq!(first, model.start_codes[0].map(i64::from));
     assert_eq!(positions.dim(), (8 * 226, 24, 3));
     assert_eq!(
         positions[[0, 0, 1]],
@@ -269,9 +285,9 @@ fn features_and_rows_give_the_codes_of_the_song() {
         "-o",
         &json.1,
         "--start-upper",
-        "84",
+        &upper,
         "--start-lower",
-        "210",
+        &lower,
         "--seed",
         "3",
     ]);
@@ -307,7 +323,7 @@ fn a_codebook_is_drawn_with_the_uses_of_its_codes() {
     for name in ["upper.svg", "lower.svg", "pairs.svg"] {
         let svg = read(name);
         assert!(
-            svg.starts_with("<svg ") && svg.contains("bailando-bootstrap-salsa"),
+            svg.starts_with("<svg ") && svg.contains(&default_manifest().name),
             "{name}"
         );
         assert!(read("index.html").contains(&svg), "{name}");

@@ -53,6 +53,12 @@ pub enum TrainError {
         /// What is wrong in it.
         message: String,
     },
+    /// Two processes would write each other's checkpoints.
+    #[error("{}: another process is training there", folder.display())]
+    Busy {
+        /// The stage's folder.
+        folder: PathBuf,
+    },
     /// A stage that has to come before is not finished.
     #[error("{} is missing or not finished: run `bailando-train {stage}` first", path.display())]
     StageMissing {

@@ -1,6 +1,11 @@
 //! The loop that all stages share: steps, tests, progress, metrics, checkpoints, resuming.
 
-use std::{fs, io::Write, path::PathBuf, time::Instant};
+use std::{
+    fs::{self, File, TryLockError},
+    io::Write,
+    path::{Path, PathBuf},
+    time::Instant,
+};
 
 use burn_tensor::Tensor as Device;
 
@@ -12,6 +17,9 @@ use crate::nn::{Parameters, Store, Trainable};
 
 /// Prefix of the weights in a stage's checkpoint.
 pub(super) const WEIGHT: &str = "weight.";
+
+/// Held while a stage runs in its folder.
+const LOCK_FILE: &str = "lock";
 
 /// What a stage does in a step, and what it keeps beside weights.
 pub(super) trait Work<A: Trainable> {
@@ -91,6 +99,7 @@ pub(super) fn run<A: Trainable, W: Work<A>>(
 ) -> Result<Outcome, TrainError> {
     let folder = stage_folder(plan.run, plan.name);
     fs::create_dir_all(&folder).map_err(TrainError::file(&folder))?;
+    let _lock = lock(&folder)?;
     let mut state = State::<A>::start(plan, work, device, &folder)?;
     let (columns, test_columns) = (W::COLUMNS, W::TEST_COLUMNS);
     let path = folder.join("metrics.csv");
@@ -135,6 +144,19 @@ pub(super) fn run<A: Trainable, W: Work<A>>(
         }
     }
     Ok(Outcome::Finished)
+}
+
+/// Keeps other processes out of a stage's folder until the lock is dropped or this process dies.
+fn lock(folder: &Path) -> Result<File, TrainError> {
+    let path = folder.join(LOCK_FILE);
+    let file = File::create(&path).map_err(TrainError::file(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(TrainError::Busy {
+            folder: folder.to_owned(),
+        }),
+        Err(TryLockError::Error(source)) => Err(TrainError::File { path, source }),
+    }
 }
 
 /// What there is to say about the last step: a test, a line of metrics, a line of progress.

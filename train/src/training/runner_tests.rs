@@ -109,6 +109,27 @@ fn tests(config: &Config) -> Vec<(u64, String, String)> {
 }
 
 #[test]
+fn a_second_process_in_the_folder_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path());
+    let stage = folder.path().join("vqvae");
+    fs::create_dir(&stage).unwrap();
+    let other = fs::File::create(stage.join("lock")).unwrap();
+    other.lock().unwrap();
+    let refused = walk(&config, Walk::default(), None).unwrap_err();
+    assert!(
+        matches!(&refused, TrainError::Busy { folder } if *folder == stage),
+        "{refused}"
+    );
+    assert!(!checkpoint_path(&config.run, "vqvae").exists());
+    drop(other);
+    assert_eq!(
+        walk(&config, Walk::default(), None).unwrap(),
+        Outcome::Finished
+    );
+}
+
+#[test]
 fn tests_have_lines_and_the_best_weights_are_kept() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
