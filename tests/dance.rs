@@ -235,6 +235,34 @@ fn two_seeds_and_two_songs_give_different_dances_and_a_seed_repeats_itself() {
 }
 
 #[test]
+fn guidance_of_1_is_the_model_itself_and_more_is_another_dance() {
+    let guided = |guidance: Option<f32>| {
+        let options = GenerationOptions {
+            seed: Some(4),
+            guidance,
+            range: bailando::audio::AudioRange {
+                offset_s: 0.0,
+                duration_s: Some(8.0),
+            },
+            ..GenerationOptions::default()
+        };
+        let audio = fixture("demo.ogg").into();
+        choreographer()
+            .generate(audio, &options, &CancelToken::new())
+            .unwrap()
+            .codes
+    };
+    let default = choreographer().manifest().sampling.guidance;
+    let own = guided(Some(1.0));
+    if default == 1.0 {
+        assert_eq!(own, guided(None));
+    }
+    let more = guided(Some(4.0));
+    assert_ne!(own, more);
+    assert_eq!(more, guided(Some(4.0)));
+}
+
+#[test]
 fn other_frame_rates_and_a_dancer_in_place() {
     for (fps, expected) in [(20, 80), (24, 96), (30, 120), (60, 240)] {
         let options = GenerationOptions {

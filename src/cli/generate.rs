@@ -65,6 +65,10 @@ struct SamplingArgs {
     /// Draw from this many most likely codes only
     #[arg(long)]
     top_k: Option<usize>,
+    /// How strongly the dance follows the music's beat: 1 as the model says, above it more so, at
+    /// twice the cost
+    #[arg(long)]
+    guidance: Option<f32>,
     /// First pose code of the upper body
     #[arg(long)]
     start_upper: Option<u32>,
@@ -162,6 +166,7 @@ impl GenerateArgs {
             seed,
             temperature,
             top_k,
+            guidance,
             start_upper,
             start_lower,
             window,
@@ -171,6 +176,7 @@ impl GenerateArgs {
             seed,
             temperature,
             top_k,
+            guidance,
             start_upper,
             start_lower,
             window: window.map(|window| match window {

@@ -199,6 +199,7 @@ impl Choreographer {
                 temperature: options.temperature.unwrap_or(defaults.temperature),
                 top_k: options.top_k.or(defaults.top_k),
             },
+            guidance: options.guidance.unwrap_or(defaults.guidance),
             seed,
             start: [options.start_upper, options.start_lower],
             window: Window::new(

@@ -3,6 +3,7 @@
 use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use super::{
+    guidance::Guide,
     progress::Progress,
     sampler::Sampler,
     window::{Window, WindowStep},
@@ -10,7 +11,7 @@ use super::{
 use crate::{
     CancelToken,
     format::Codes,
-    model::{Decoder, Gpt, Manifest, ModelError, Steps},
+    model::{Decoder, Gpt, KvCache, Logits, Manifest, ModelError, Steps},
 };
 
 /// Codes decoded per chunk besides the overlap: two shapes at most are decoded per song.
@@ -20,6 +21,8 @@ pub(crate) const CHUNK_CODES: usize = 64;
 pub(crate) struct Request<'a> {
     /// Music rows `[rows, columns]`.
     pub(crate) music: ArrayView2<'a, f32>,
+    /// How strongly the music's time is followed; none: as the model says.
+    pub(crate) guide: Option<&'a Guide>,
     /// The first code pair, upper and lower.
     pub(crate) start: [u32; 2],
     /// How the window of past codes moves.
@@ -42,7 +45,11 @@ pub(crate) fn generate_codes(
         upper: vec![upper],
         lower: vec![lower],
     };
-    let mut cache = gpt.empty_cache()?;
+    let mut listener = Listener::new(gpt, request.music)?;
+    let mut deaf = match request.guide {
+        Some(guide) => Some((guide, Listener::new(gpt, guide.timeless())?)),
+        None => None,
+    };
     for step in 0..rows.saturating_sub(1) {
         if request.cancel.is_cancelled() {
             return Err(ModelError::Cancelled);
@@ -50,25 +57,56 @@ pub(crate) fn generate_codes(
         let first = match request.window.at(step) {
             WindowStep::Extend => step,
             WindowStep::Prime { start } => {
-                cache = gpt.empty_cache()?;
+                listener.cache = gpt.empty_cache()?;
+                if let Some((_, deaf)) = &mut deaf {
+                    deaf.cache = gpt.empty_cache()?;
+                }
                 start
             }
         };
-        let steps = Steps {
-            upper: codes.upper.get(first..).unwrap_or_default(),
-            lower: codes.lower.get(first..).unwrap_or_default(),
-            // The row beside code k is k + 1: the reference drops the first row.
-            music: request
-                .music
-                .slice_axis(Axis(0), Slice::from(first + 1..step + 2)),
-        };
-        let logits = gpt.run(steps, &mut cache, request.cancel)?;
+        let mut logits = listener.hear(gpt, &codes, first, request.cancel)?;
+        if let Some((guide, deaf)) = &mut deaf {
+            let unheard = deaf.hear(gpt, &codes, first, request.cancel)?;
+            guide.lead(&mut logits, &unheard);
+        }
         // Upper first: one generator per request serves both halves in this order.
         codes.upper.push(sample_newest(sampler, &logits.upper));
         codes.lower.push(sample_newest(sampler, &logits.lower));
         request.progress.codes(step + 2, rows);
     }
     Ok(codes)
+}
+
+/// A song beside the codes, and what the GPT remembers of both.
+struct Listener<'a> {
+    music: ArrayView2<'a, f32>,
+    cache: KvCache,
+}
+
+impl<'a> Listener<'a> {
+    fn new(gpt: &Gpt, music: ArrayView2<'a, f32>) -> Result<Self, ModelError> {
+        let cache = gpt.empty_cache()?;
+        Ok(Self { music, cache })
+    }
+
+    /// Runs the codes from `first` on and returns what may follow them.
+    fn hear(
+        &mut self,
+        gpt: &mut Gpt,
+        codes: &Codes,
+        first: usize,
+        cancel: &CancelToken,
+    ) -> Result<Logits, ModelError> {
+        let steps = Steps {
+            upper: codes.upper.get(first..).unwrap_or_default(),
+            lower: codes.lower.get(first..).unwrap_or_default(),
+            // The row beside code k is k + 1: the reference drops the first row.
+            music: self
+                .music
+                .slice_axis(Axis(0), Slice::from(first + 1..codes.upper.len() + 1)),
+        };
+        gpt.run(steps, &mut self.cache, cancel)
+    }
 }
 
 fn sample_newest(sampler: &mut Sampler, logits: &Array2<f32>) -> u32 {

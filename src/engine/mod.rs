@@ -3,6 +3,7 @@
 mod choreographer;
 mod error;
 mod generator;
+mod guidance;
 mod options;
 mod progress;
 mod queue;
@@ -11,7 +12,7 @@ mod sessions;
 mod window;
 mod worker;
 
-pub use crate::model::MAX_TEMPERATURE;
+pub use crate::model::{MAX_GUIDANCE, MAX_TEMPERATURE};
 pub use choreographer::{Choreographer, EngineConfig, RawDance};
 pub use error::EngineError;
 pub use options::GenerationOptions;

@@ -3,7 +3,7 @@
 use super::{EngineError, MAX_SEED};
 use crate::{
     audio::AudioRange,
-    model::{MAX_TEMPERATURE, Manifest, WindowKind},
+    model::{MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, WindowKind},
     motion,
 };
 
@@ -16,6 +16,9 @@ pub struct GenerationOptions {
     pub temperature: Option<f32>,
     /// Draw from this many most likely codes.
     pub top_k: Option<usize>,
+    /// How strongly the dance follows the music's time: 1 as the model says, more exaggerates it (at
+    /// twice the cost).
+    pub guidance: Option<f32>,
     /// First upper pose code; drawn from the manifest's list if absent.
     pub start_upper: Option<u32>,
     /// First lower pose code; drawn from the manifest's list if absent.
@@ -40,6 +43,7 @@ impl Default for GenerationOptions {
             seed: None,
             temperature: None,
             top_k: None,
+            guidance: None,
             start_upper: None,
             start_lower: None,
             window: None,
@@ -72,6 +76,12 @@ impl GenerationOptions {
             return refuse(
                 "temperature",
                 format!("{t} is not between 0 and {MAX_TEMPERATURE}"),
+            );
+        }
+        if let Some(g) = self.guidance.filter(|g| !(0.0..=MAX_GUIDANCE).contains(g)) {
+            return refuse(
+                "guidance",
+                format!("{g} is not between 0 and {MAX_GUIDANCE}"),
             );
         }
         let vocabulary = manifest.vocabulary;

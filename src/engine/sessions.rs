@@ -10,6 +10,7 @@ use ndarray::Array2;
 use super::{
     EngineError,
     generator::{CHUNK_CODES, Request, decode_codes, generate_codes},
+    guidance::Guide,
     progress::Stage,
     sampler::{Sampler, Sampling},
     window::Window,
@@ -114,6 +115,8 @@ impl Sessions {
                 temperature: 0.0,
                 top_k: None,
             },
+            // Two branches, if that is the default.
+            guidance: self.directory.manifest().sampling.guidance,
             seed: 0,
             start: [None, None],
             window: Window::new(WindowKind::Hop, 1, 2),
@@ -129,8 +132,10 @@ impl Sessions {
         let manifest = self.directory.manifest();
         let mut sampler = Sampler::new(job.sampling, job.seed);
         let start = start_codes(job.start, manifest, &mut sampler);
+        let guide = Guide::new(job.guidance, job.music.view());
         let request = Request {
             music: job.music.view(),
+            guide: guide.as_ref(),
             start,
             window: job.window,
             progress: job.progress.as_ref(),

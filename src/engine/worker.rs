@@ -27,6 +27,8 @@ pub(crate) struct Job {
     pub(crate) music: Array2<f32>,
     /// How the next code is chosen.
     pub(crate) sampling: Sampling,
+    /// How strongly the music's time is followed.
+    pub(crate) guidance: f32,
     /// Seed of the request's generator.
     pub(crate) seed: u64,
     /// Given start codes, upper and lower.

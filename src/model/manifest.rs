@@ -132,10 +132,25 @@ pub struct SamplingDefaults {
     /// Codes to draw from; absent: all.
     #[serde(default)]
     pub top_k: Option<usize>,
+    /// How strongly the music's time is followed; absent: 1, as the model says.
+    #[serde(default = "unguided", skip_serializing_if = "is_unguided")]
+    pub guidance: f32,
     /// How the window moves.
     pub window: WindowKind,
     /// Codes kept when a hop window shrinks.
     pub hop: usize,
+}
+
+fn unguided() -> f32 {
+    1.0
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde calls it with a reference"
+)]
+fn is_unguided(guidance: &f32) -> bool {
+    *guidance == unguided()
 }
 
 /// How weights are stored.
@@ -162,6 +177,8 @@ pub struct FileEntry {
 pub const MAX_COUNT_PERIODS: usize = 16;
 /// Highest temperature: beyond it every code is as likely as the next.
 pub const MAX_TEMPERATURE: f32 = 10.0;
+/// Highest guidance: beyond it little but noise is exaggerated.
+pub const MAX_GUIDANCE: f32 = 10.0;
 // A directory from a stranger must not make us allocate what it declares; the published sizes are
 // 12, 29, 768, 512 and 25.
 const MAX_LAYERS: usize = 256;
@@ -290,12 +307,18 @@ impl Manifest {
         let SamplingDefaults {
             temperature,
             top_k,
+            guidance,
             hop,
             ..
         } = self.sampling;
         if !(0.0..=MAX_TEMPERATURE).contains(&temperature) {
             return Err(format!(
                 "sampling temperature is {temperature}, expected 0 to {MAX_TEMPERATURE}"
+            ));
+        }
+        if !(0.0..=MAX_GUIDANCE).contains(&guidance) {
+            return Err(format!(
+                "sampling guidance is {guidance}, expected 0 to {MAX_GUIDANCE}"
             ));
         }
         if top_k == Some(0) {

@@ -62,6 +62,7 @@ struct VocabularyInfo {
 struct SamplingInfo {
     temperature: f32,
     top_k: Option<usize>,
+    guidance: f32,
     #[schema(example = "hop")]
     window: &'static str,
     hop: usize,
@@ -122,6 +123,7 @@ impl ModelInfo {
             sampling: SamplingInfo {
                 temperature: sampling.temperature,
                 top_k: sampling.top_k,
+                guidance: sampling.guidance,
                 window: match sampling.window {
                     WindowKind::Hop => "hop",
                     WindowKind::Sliding => "sliding",

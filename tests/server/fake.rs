@@ -186,6 +186,7 @@ fn manifest() -> Manifest {
         sampling: SamplingDefaults {
             temperature: 1.0,
             top_k: None,
+            guidance: 1.0,
             window: WindowKind::Hop,
             hop: 15,
         },

@@ -158,6 +158,7 @@ async fn wrong_options_are_refused_before_any_work() {
         "seed=-1",
         "temperature=hot",
         "top_k=0",
+        "guidance=-1",
         "start_upper=512",
         "window=wide",
         "hop=29",

@@ -40,6 +40,7 @@ fn main() -> anyhow::Result<()> {
         count_periods: Vec::new(),
         start_codes: Vec::new(),
         temperature: 1.0,
+        guidance: 1.0,
         motion_frame: MotionFrame::World,
         root_height: 0.93,
         weights: WeightStorage::F32,

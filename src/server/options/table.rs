@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use super::{RequestOptions, accepts::Accepts};
 use crate::{
-    engine::{MAX_SEED, MAX_TEMPERATURE},
+    engine::{MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
     model::WindowKind,
     motion::FRAME_RATES,
 };
@@ -18,7 +18,7 @@ pub(super) struct OptionSpec {
     pub(super) read: fn(&mut RequestOptions, &str) -> bool,
 }
 
-pub(super) const OPTIONS: [OptionSpec; 16] = [
+pub(super) const OPTIONS: [OptionSpec; 17] = [
     OptionSpec {
         name: "format",
         about: "Format of the dance. Wins over the Accept header. Default: json.",
@@ -56,6 +56,14 @@ pub(super) const OPTIONS: [OptionSpec; 16] = [
             most: u32::MAX as u64,
         },
         read: |options, text| put(&mut options.top_k, text),
+    },
+    OptionSpec {
+        name: "guidance",
+        about: "How strongly the dance follows the music's beat: 1 as the model says, above it more so, at twice the cost. Default: the model's.",
+        accepts: Accepts::Number {
+            most: MAX_GUIDANCE as f64,
+        },
+        read: |options, text| put(&mut options.guidance, text),
     },
     OptionSpec {
         name: "start_upper",

@@ -408,6 +408,7 @@ impl From<ImportArguments> for ImportOptions {
                 count_periods: Vec::new(),
                 start_codes: Vec::new(),
                 temperature: arguments.temperature,
+                guidance: 1.0,
                 motion_frame: MotionFrame::World,
                 root_height: arguments.root_height,
                 weights: match arguments.weights {

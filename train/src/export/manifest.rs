@@ -63,6 +63,7 @@ pub(super) fn manifest(
         sampling: SamplingDefaults {
             temperature: description.temperature,
             top_k: None,
+            guidance: description.guidance,
             window: WindowKind::Hop,
             hop: HOP_CODES.min(context),
         },

@@ -38,6 +38,8 @@ pub struct Description {
     pub start_codes: Vec<[u32; 2]>,
     /// Default temperature; 0 takes the most likely code.
     pub temperature: f32,
+    /// Default guidance by the music's time; 1 is none.
+    pub guidance: f32,
     /// Frame of the motion that the weights were trained on.
     pub motion_frame: MotionFrame,
     /// Height in metres at which the root starts.

@@ -217,6 +217,7 @@ pub struct ExportConfig {
     pub licence: String,
     pub root_height: f32,
     pub temperature: f32,
+    pub guidance: f32,
     pub weights: WeightStorage,
 }
 

@@ -55,6 +55,7 @@ pub(super) fn write<const N: usize>(
         count_periods: config.data.count_periods.clone(),
         start_codes: policy.starts.clone(),
         temperature: config.export.temperature,
+        guidance: config.export.guidance,
         motion_frame: config.data.frame,
         root_height: config.export.root_height,
         weights: config.export.weights,

@@ -64,6 +64,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             count_periods: Vec::new(),
             start_codes: Vec::new(),
             temperature: 0.0,
+            guidance: 1.0,
             motion_frame: MotionFrame::World,
             root_height: 0.93,
             weights: WeightStorage::F32,
