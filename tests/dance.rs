@@ -18,8 +18,9 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, EngineConfig, GenerationOptions},
+    evaluation::{Motion, speed},
     format::{BvhUnit, Dance, JsonOptions, OutputFormat},
-    motion::{Positions, forward, lower_foot_heights},
+    motion::{Positions, beat_nearness, dance_beats, forward, lower_foot_heights},
 };
 use ndarray::Axis;
 use writers::wav16;
@@ -260,6 +261,38 @@ fn guidance_of_1_is_the_model_itself_and_more_is_another_dance() {
     let more = guided(Some(4.0));
     assert_ne!(own, more);
     assert_eq!(more, guided(Some(4.0)));
+}
+
+/// Mean nearness of the demo song's beats to the dance's (Eq. 15), over a few seeds.
+fn beat_score(candidates: usize) -> f64 {
+    const SEEDS: std::ops::Range<u64> = 0..3;
+    let scores = SEEDS.map(|seed| {
+        let options = GenerationOptions {
+            seed: Some(seed),
+            candidates: Some(candidates),
+            music: true,
+            ..GenerationOptions::default()
+        };
+        let audio = fixture("demo.ogg").into();
+        let dance = choreographer()
+            .generate(audio, &options, &CancelToken::new())
+            .unwrap();
+        let motion = Motion::new("demo", dance.positions.view()).unwrap();
+        let beats = dance.music.unwrap().beats_s;
+        let music: Vec<usize> = beats
+            .iter()
+            .map(|second| (second * FPS as f64).round() as usize)
+            .collect();
+        beat_nearness(&music, &dance_beats(&speed(motion.poses())))
+    });
+    scores.sum::<f64>() / SEEDS.count() as f64
+}
+
+#[test]
+fn of_several_candidates_those_on_the_beat_are_danced() {
+    let (one, six) = (beat_score(1), beat_score(6));
+    println!("beat score {one:.3} of one candidate, {six:.3} of six");
+    assert!(six > one + 0.03, "{one} {six}");
 }
 
 #[test]

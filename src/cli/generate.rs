@@ -69,6 +69,10 @@ struct SamplingArgs {
     /// twice the cost
     #[arg(long)]
     guidance: Option<f32>,
+    /// Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the
+    /// music's; the cost grows with them
+    #[arg(long)]
+    candidates: Option<usize>,
     /// First pose code of the upper body
     #[arg(long)]
     start_upper: Option<u32>,
@@ -167,6 +171,7 @@ impl GenerateArgs {
             temperature,
             top_k,
             guidance,
+            candidates,
             start_upper,
             start_lower,
             window,
@@ -177,6 +182,7 @@ impl GenerateArgs {
             temperature,
             top_k,
             guidance,
+            candidates,
             start_upper,
             start_lower,
             window: window.map(|window| match window {

@@ -148,7 +148,7 @@ impl Choreographer {
         let listened = timed(&mut timings.features, || {
             self.listen(&heard, options, cancel)
         })?;
-        let raw = self.dance_to_rows(listened.rows, options, cancel, progress)?;
+        let raw = self.dance(listened.rows, listened.beats_s, options, cancel, progress)?;
         timings.queue = raw.queued;
         timings.inference = raw.inference;
         let finish = FinishOptions {
@@ -175,7 +175,8 @@ impl Choreographer {
     }
 
     /// Generates codes and raw motion from feature rows `[rows, columns]` as the manifest's
-    /// features say (438 columns, and those of its count periods); blocks.
+    /// features say (438 columns, and those of its count periods); blocks. Rows tell no beats to the
+    /// frame: there is one candidate for every phrase.
     ///
     /// # Errors
     /// [`EngineError::Option`] for rows of another width or too few, else as
@@ -183,6 +184,18 @@ impl Choreographer {
     pub fn dance_to_rows(
         &self,
         rows: Array2<f32>,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        progress: Arc<dyn Progress>,
+    ) -> Result<RawDance> {
+        self.dance(rows, Vec::new(), options, cancel, progress)
+    }
+
+    /// Codes and motion for rows, and beats in seconds where they are known.
+    fn dance(
+        &self,
+        rows: Array2<f32>,
+        beats_s: Vec<f64>,
         options: &GenerationOptions,
         cancel: &CancelToken,
         progress: Arc<dyn Progress>,
@@ -200,6 +213,11 @@ impl Choreographer {
                 top_k: options.top_k.or(defaults.top_k),
             },
             guidance: options.guidance.unwrap_or(defaults.guidance),
+            candidates: options.candidates.unwrap_or(defaults.candidates),
+            beats: beats_s
+                .iter()
+                .map(|second| (second * f64::from(manifest.fps)).round() as usize)
+                .collect(),
             seed,
             start: [options.start_upper, options.start_lower],
             window: Window::new(
@@ -259,7 +277,11 @@ impl Choreographer {
             .with(|extractor| extractor.extract(signal(0)))?;
         check_cancelled(cancel)?;
         if !self.wants_beats(options) {
-            return Ok(Listened { rows, music: None });
+            return Ok(Listened {
+                rows,
+                beats_s: Vec::new(),
+                music: None,
+            });
         }
         let beats = self
             .shared
@@ -267,23 +289,29 @@ impl Choreographer {
             .with(|extractor| extractor.beats(signal(1)))?;
         check_cancelled(cancel)?;
         let periods = &self.manifest().features.count_periods;
+        let beats_s: Vec<f64> = beats.seconds().collect();
         Ok(Listened {
             rows: with_counts_of(&beats, rows, periods),
             music: options.music.then(|| MusicInfo {
                 tempo_bpm: beats.tempo_bpm,
-                beats_s: beats.seconds().collect(),
+                beats_s: beats_s.clone(),
             }),
+            beats_s,
         })
     }
 
-    /// Whether the caller asks for beats or the model counts them.
+    /// Whether the caller asks for beats, the model counts them, or candidates are chosen by them.
     fn wants_beats(&self, options: &GenerationOptions) -> bool {
-        options.music || !self.manifest().features.count_periods.is_empty()
+        let manifest = self.manifest();
+        options.music
+            || !manifest.features.count_periods.is_empty()
+            || options.candidates.unwrap_or(manifest.sampling.candidates) > 1
     }
 }
 
 struct Listened {
     rows: Array2<f32>,
+    beats_s: Vec<f64>,
     music: Option<MusicInfo>,
 }
 

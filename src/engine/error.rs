@@ -1,5 +1,15 @@
 //! Why a generation did not happen.
 
+use crate::{Error, model::ModelError};
+
+/// A model's failure, or the cancellation that it was.
+pub(super) fn of_model(error: ModelError) -> Error {
+    match error {
+        ModelError::Cancelled => EngineError::Cancelled.into(),
+        other => other.into(),
+    }
+}
+
 /// Why a generation did not happen.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]

@@ -1,5 +1,7 @@
 //! The generation loop of one request: music rows in, pose codes out, codes to motion.
 
+use std::rc::Rc;
+
 use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use super::{
@@ -11,7 +13,7 @@ use super::{
 use crate::{
     CancelToken,
     format::Codes,
-    model::{Decoder, Gpt, KvCache, Logits, Manifest, ModelError, Steps},
+    model::{Decoder, Gpt, KvCache, Manifest, ModelError, Steps},
 };
 
 /// Codes decoded per chunk besides the overlap: two shapes at most are decoded per song.
@@ -40,72 +42,78 @@ pub(crate) fn generate_codes(
     request: &Request<'_>,
 ) -> Result<Codes, ModelError> {
     let rows = request.music.nrows();
-    let [upper, lower] = request.start;
-    let mut codes = Codes {
-        upper: vec![upper],
-        lower: vec![lower],
-    };
-    let mut listener = Listener::new(gpt, request.music)?;
-    let mut deaf = match request.guide {
-        Some(guide) => Some((guide, Listener::new(gpt, guide.timeless())?)),
-        None => None,
-    };
-    for step in 0..rows.saturating_sub(1) {
+    let mut dance = Dancing::new(gpt, request)?;
+    while dance.codes.upper.len() < rows {
+        dance.step(gpt, sampler, request)?;
+        request.progress.codes(dance.codes.upper.len(), rows);
+    }
+    Ok(dance.codes)
+}
+
+/// A dance so far. Clones share what the GPT remembers and go on by themselves.
+#[derive(Clone)]
+pub(crate) struct Dancing {
+    pub(crate) codes: Codes,
+    heard: Rc<KvCache>,
+    unheard: Rc<KvCache>,
+}
+
+impl Dancing {
+    /// The start pair alone.
+    pub(crate) fn new(gpt: &Gpt, request: &Request<'_>) -> Result<Self, ModelError> {
+        let [upper, lower] = request.start;
+        Ok(Self {
+            codes: Codes {
+                upper: vec![upper],
+                lower: vec![lower],
+            },
+            heard: Rc::new(gpt.empty_cache()?),
+            unheard: Rc::new(gpt.empty_cache()?),
+        })
+    }
+
+    /// One more code pair.
+    pub(crate) fn step(
+        &mut self,
+        gpt: &mut Gpt,
+        sampler: &mut Sampler,
+        request: &Request<'_>,
+    ) -> Result<(), ModelError> {
         if request.cancel.is_cancelled() {
             return Err(ModelError::Cancelled);
         }
+        let step = self.codes.upper.len() - 1;
         let first = match request.window.at(step) {
             WindowStep::Extend => step,
             WindowStep::Prime { start } => {
-                listener.cache = gpt.empty_cache()?;
-                if let Some((_, deaf)) = &mut deaf {
-                    deaf.cache = gpt.empty_cache()?;
-                }
+                self.heard = Rc::new(gpt.empty_cache()?);
+                self.unheard = Rc::new(gpt.empty_cache()?);
                 start
             }
         };
-        let mut logits = listener.hear(gpt, &codes, first, request.cancel)?;
-        if let Some((guide, deaf)) = &mut deaf {
-            let unheard = deaf.hear(gpt, &codes, first, request.cancel)?;
-            guide.lead(&mut logits, &unheard);
+        let heard = steps_from(first, &self.codes, request.music);
+        let (mut logits, cache) = gpt.run_after(heard, &self.heard, request.cancel)?;
+        self.heard = Rc::new(cache);
+        if let Some(guide) = request.guide {
+            let unheard = steps_from(first, &self.codes, guide.timeless());
+            let (deaf, cache) = gpt.run_after(unheard, &self.unheard, request.cancel)?;
+            self.unheard = Rc::new(cache);
+            guide.lead(&mut logits, &deaf);
         }
         // Upper first: one generator per request serves both halves in this order.
-        codes.upper.push(sample_newest(sampler, &logits.upper));
-        codes.lower.push(sample_newest(sampler, &logits.lower));
-        request.progress.codes(step + 2, rows);
+        self.codes.upper.push(sample_newest(sampler, &logits.upper));
+        self.codes.lower.push(sample_newest(sampler, &logits.lower));
+        Ok(())
     }
-    Ok(codes)
 }
 
-/// A song beside the codes, and what the GPT remembers of both.
-struct Listener<'a> {
-    music: ArrayView2<'a, f32>,
-    cache: KvCache,
-}
-
-impl<'a> Listener<'a> {
-    fn new(gpt: &Gpt, music: ArrayView2<'a, f32>) -> Result<Self, ModelError> {
-        let cache = gpt.empty_cache()?;
-        Ok(Self { music, cache })
-    }
-
-    /// Runs the codes from `first` on and returns what may follow them.
-    fn hear(
-        &mut self,
-        gpt: &mut Gpt,
-        codes: &Codes,
-        first: usize,
-        cancel: &CancelToken,
-    ) -> Result<Logits, ModelError> {
-        let steps = Steps {
-            upper: codes.upper.get(first..).unwrap_or_default(),
-            lower: codes.lower.get(first..).unwrap_or_default(),
-            // The row beside code k is k + 1: the reference drops the first row.
-            music: self
-                .music
-                .slice_axis(Axis(0), Slice::from(first + 1..codes.upper.len() + 1)),
-        };
-        gpt.run(steps, &mut self.cache, cancel)
+/// The codes from `first` on, each beside its row of music.
+fn steps_from<'a>(first: usize, codes: &'a Codes, music: ArrayView2<'a, f32>) -> Steps<'a> {
+    Steps {
+        upper: codes.upper.get(first..).unwrap_or_default(),
+        lower: codes.lower.get(first..).unwrap_or_default(),
+        // The row beside code k is k + 1: the reference drops the first row.
+        music: music.slice_axis_move(Axis(0), Slice::from(first + 1..codes.upper.len() + 1)),
     }
 }
 

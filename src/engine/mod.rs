@@ -8,11 +8,12 @@ mod options;
 mod progress;
 mod queue;
 mod sampler;
+mod search;
 mod sessions;
 mod window;
 mod worker;
 
-pub use crate::model::{MAX_GUIDANCE, MAX_TEMPERATURE};
+pub use crate::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE};
 pub use choreographer::{Choreographer, EngineConfig, RawDance};
 pub use error::EngineError;
 pub use options::GenerationOptions;

@@ -3,7 +3,7 @@
 use super::{EngineError, MAX_SEED};
 use crate::{
     audio::AudioRange,
-    model::{MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, WindowKind},
+    model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, WindowKind},
     motion,
 };
 
@@ -19,6 +19,8 @@ pub struct GenerationOptions {
     /// How strongly the dance follows the music's time: 1 as the model says, more exaggerates it (at
     /// twice the cost).
     pub guidance: Option<f32>,
+    /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's.
+    pub candidates: Option<usize>,
     /// First upper pose code; drawn from the manifest's list if absent.
     pub start_upper: Option<u32>,
     /// First lower pose code; drawn from the manifest's list if absent.
@@ -44,6 +46,7 @@ impl Default for GenerationOptions {
             temperature: None,
             top_k: None,
             guidance: None,
+            candidates: None,
             start_upper: None,
             start_lower: None,
             window: None,
@@ -84,6 +87,7 @@ impl GenerationOptions {
                 format!("{g} is not between 0 and {MAX_GUIDANCE}"),
             );
         }
+        check_between("candidates", self.candidates, 1, MAX_CANDIDATES)?;
         let vocabulary = manifest.vocabulary;
         check_between(
             "top_k",

@@ -8,11 +8,12 @@ use std::{
 use ndarray::Array2;
 
 use super::{
-    EngineError,
+    error::of_model,
     generator::{CHUNK_CODES, Request, decode_codes, generate_codes},
     guidance::Guide,
     progress::Stage,
     sampler::{Sampler, Sampling},
+    search::Search,
     window::Window,
     worker::{Job, Outcome},
 };
@@ -117,6 +118,8 @@ impl Sessions {
             },
             // Two branches, if that is the default.
             guidance: self.directory.manifest().sampling.guidance,
+            candidates: self.directory.manifest().sampling.candidates,
+            beats: vec![4, 12, 20],
             seed: 0,
             start: [None, None],
             window: Window::new(WindowKind::Hop, 1, 2),
@@ -141,10 +144,21 @@ impl Sessions {
             progress: job.progress.as_ref(),
             cancel: &job.cancel,
         };
-        let codes = generate_codes(&mut self.gpt, &mut sampler, &request).map_err(cancelled)?;
+        // Without beats there is nothing to choose by.
+        let codes = if job.candidates > 1 && !job.beats.is_empty() {
+            let mut search = Search {
+                candidates: job.candidates,
+                beats: &job.beats,
+                decoder: &mut self.decoder,
+                manifest,
+            };
+            search.generate_codes(&mut self.gpt, &mut sampler, &request)?
+        } else {
+            generate_codes(&mut self.gpt, &mut sampler, &request).map_err(of_model)?
+        };
         job.progress.stage(Stage::Motion);
         let decoded =
-            decode_codes(&mut self.decoder, &codes, manifest, &job.cancel).map_err(cancelled)?;
+            decode_codes(&mut self.decoder, &codes, manifest, &job.cancel).map_err(of_model)?;
         let motion = manifest.motion_frame.into_world(decoded)?;
         Ok(Outcome {
             codes,
@@ -171,13 +185,6 @@ fn start_codes(given: [Option<u32>; 2], manifest: &Manifest, sampler: &mut Sampl
             .unwrap_or_default(),
     };
     [given[0].unwrap_or(drawn[0]), given[1].unwrap_or(drawn[1])]
-}
-
-fn cancelled(error: ModelError) -> Error {
-    match error {
-        ModelError::Cancelled => EngineError::Cancelled.into(),
-        other => other.into(),
-    }
 }
 
 fn misfit(what: &'static str, expected: String, got: String) -> Error {

@@ -29,6 +29,10 @@ pub(crate) struct Job {
     pub(crate) sampling: Sampling,
     /// How strongly the music's time is followed.
     pub(crate) guidance: f32,
+    /// Candidates for every phrase.
+    pub(crate) candidates: usize,
+    /// Frames of the music's beats, which candidates are chosen by; may be empty.
+    pub(crate) beats: Vec<usize>,
     /// Seed of the request's generator.
     pub(crate) seed: u64,
     /// Given start codes, upper and lower.

@@ -4,13 +4,8 @@
 use rand::{Rng, RngExt};
 
 use super::body::{JOINTS, Pose};
+use crate::motion::beat_nearness;
 
-/// Deviation of the smoothing of the speed, in frames.
-const SMOOTHING: f64 = 5.0;
-/// Reach of the smoothing: four deviations.
-const RADIUS: usize = 20;
-/// Deviation of the reward for being near a beat, in frames.
-const TOLERANCE: f64 = 3.0;
 /// Random shifts that a chance level is the mean of.
 const SHIFTS: usize = 20;
 /// The smallest shift, from either end, that counts as another place in the music.
@@ -27,46 +22,6 @@ pub fn speed(poses: &[Pose]) -> Vec<f64> {
             distances.sum::<f64>() / JOINTS as f64
         })
         .collect()
-}
-
-/// Strict local minima of the smoothed speed; never its ends.
-#[must_use]
-pub fn dance_beats(speed: &[f64]) -> Vec<usize> {
-    let smooth = smoothed(speed);
-    let minimum = |at: &usize| smooth[at - 1] > smooth[*at] && smooth[*at] < smooth[at + 1];
-    (1..smooth.len().saturating_sub(1))
-        .filter(minimum)
-        .collect()
-}
-
-/// Gaussian smoothing; beyond the ends the curve is mirrored, its last value repeated
-/// (half-sample symmetric).
-fn smoothed(curve: &[f64]) -> Vec<f64> {
-    let length = curve.len();
-    let weights: Vec<f64> = (0..=2 * RADIUS)
-        .map(|at| {
-            let distance = at as f64 - RADIUS as f64;
-            (-0.5 * (distance / SMOOTHING).powi(2)).exp()
-        })
-        .collect();
-    let total: f64 = weights.iter().sum();
-    (0..length)
-        .map(|centre| {
-            let taps = weights.iter().enumerate();
-            let sum: f64 = taps
-                .map(|(at, weight)| {
-                    let place = (centre + at) as isize - RADIUS as isize;
-                    weight * curve[mirrored(place, length)]
-                })
-                .sum();
-            sum / total
-        })
-        .collect()
-}
-
-fn mirrored(place: isize, length: usize) -> usize {
-    let folded = place.rem_euclid(2 * length as isize).unsigned_abs();
-    folded.min(2 * length - 1 - folded)
 }
 
 /// How well the beats of one piece meet.
@@ -119,30 +74,8 @@ fn chance(frames: usize, music: &[usize], dance: &[usize], random: &mut impl Rng
     scores.sum::<f64>() / SHIFTS as f64
 }
 
-/// Mean over `beats` of `exp(-d^2 / (2 * 3^2))`, `d` frames to the nearest of `others` (ascending);
-/// 0 when either is empty.
-#[must_use]
-pub fn beat_nearness(beats: &[usize], others: &[usize]) -> f64 {
-    if beats.is_empty() {
-        return 0.0;
-    }
-    let one = |&beat: &usize| {
-        let after = others.partition_point(|&other| other < beat);
-        let neighbours = [after.checked_sub(1), Some(after)];
-        let distances = neighbours
-            .into_iter()
-            .flatten()
-            .filter_map(|at| others.get(at));
-        let nearest = distances.map(|other| other.abs_diff(beat)).min();
-        nearest.map_or(0.0, |d| (-0.5 * (d as f64 / TOLERANCE).powi(2)).exp())
-    };
-    beats.iter().map(one).sum::<f64>() / beats.len() as f64
-}
-
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::TAU;
-
     use glam::DVec3;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
@@ -159,32 +92,6 @@ mod tests {
         poses[1][4] = DVec3::new(3.0, 0.0, 4.0);
         poses[2][4] = DVec3::new(3.0, 0.0, 4.0);
         assert_eq!(speed(&poses), [5.0 / 24.0, 0.0]);
-    }
-
-    #[test]
-    fn smoothing_is_a_gaussian_with_mirrored_ends() {
-        let mut impulse = vec![0.0; 101];
-        impulse[50] = 1.0;
-        let smooth = smoothed(&impulse);
-        close(smooth.iter().sum(), 1.0);
-        close(smooth[55] / smooth[50], (-0.5_f64).exp());
-        assert!(smooth[70] > 0.0 && smooth[71] == 0.0);
-        // Half-sample symmetric: the first value counts twice at the edge.
-        let mut edge = vec![0.0; 101];
-        edge[0] = 1.0;
-        close(smoothed(&edge)[0], smooth[50] + smooth[51]);
-        let constant = smoothed(&[2.0; 7]);
-        assert!(constant.iter().all(|v| (v - 2.0).abs() < 1e-12));
-    }
-
-    #[test]
-    fn dance_beats_are_where_the_speed_is_least() {
-        let speed: Vec<f64> = (0..300)
-            .map(|t| 1.0 + (TAU * t as f64 / 60.0).cos())
-            .collect();
-        assert_eq!(dance_beats(&speed), [30, 90, 150, 210, 270]);
-        assert!(dance_beats(&[1.0; 50]).is_empty());
-        assert!(dance_beats(&[]).is_empty());
     }
 
     #[test]

@@ -23,7 +23,7 @@ mod report;
 mod run;
 mod scores;
 
-pub use beats::{BeatScore, beat_nearness, dance_beats, speed};
+pub use beats::{BeatScore, speed};
 pub use body::{FRAMES_PER_SECOND, JOINT_NAMES, JOINTS, Motion, Pose, SHORTEST_MOTION};
 pub use clips::{Clips, PUBLISHED_FRAMES};
 pub use distance::{Standard, diversity, frechet_distance};

@@ -1,12 +1,13 @@
 //! What a beat score or a Fréchet distance hides: skating feet, jitter, standing still.
 
 use super::{
-    beats::{dance_beats, speed},
+    beats::speed,
     body::{
         FRAMES_PER_SECOND, JOINTS, Pose,
         joint::{LEFT_TOES, RIGHT_TOES},
     },
 };
+use crate::motion::dance_beats;
 
 /// A frame whose mean joint speed is below this is slow, m/s.
 const SLOW: f64 = 0.15;

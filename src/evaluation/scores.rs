@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{
     EvaluationError, Motion,
-    beats::{BeatScore, dance_beats, speed},
+    beats::{BeatScore, speed},
     clips::Clips,
     distance::{Standard, diversity, frechet_distance},
     geometric::{GEOMETRIC_FEATURES, geometric_features},
@@ -19,6 +19,7 @@ use super::{
     recitation::Repertoire,
     reference::DanceSet,
 };
+use crate::motion::dance_beats;
 
 /// Feature rows of a set's clips.
 #[derive(Clone, Debug)]

@@ -135,17 +135,33 @@ impl Gpt {
     }
 
     /// Runs `steps` after those in `cache`, which then holds them as well, and returns their
-    /// logits. Positions go on from the cache's length (ARCHITECTURE: re-indexed from 0).
+    /// logits.
     ///
     /// # Errors
-    /// [`ModelError::Input`] when lengths do not fit, [`ModelError::Cancelled`], or
-    /// [`ModelError::Run`]; the cache is unchanged then.
+    /// As [`Gpt::run_after`]; the cache is unchanged then.
     pub fn run(
         &mut self,
         steps: Steps<'_>,
         cache: &mut KvCache,
         cancel: &CancelToken,
     ) -> Result<Logits, ModelError> {
+        let (logits, longer) = self.run_after(steps, cache, cancel)?;
+        *cache = longer;
+        Ok(logits)
+    }
+
+    /// Runs `steps` after those in `cache` and returns their logits and a cache that holds them as
+    /// well. Positions go on from the cache's length (ARCHITECTURE: re-indexed from 0).
+    ///
+    /// # Errors
+    /// [`ModelError::Input`] when lengths do not fit, [`ModelError::Cancelled`], or
+    /// [`ModelError::Run`].
+    pub fn run_after(
+        &mut self,
+        steps: Steps<'_>,
+        cache: &KvCache,
+        cancel: &CancelToken,
+    ) -> Result<(Logits, KvCache), ModelError> {
         let count = self.check(&steps, cache)?;
         let inputs = self.inputs(steps, count, cache)?;
         let present = &self.names.present;
@@ -161,11 +177,8 @@ impl Gpt {
                 .collect::<Result<Vec<_>, ModelError>>()?;
             Ok((logits, layers))
         })?;
-        *cache = KvCache {
-            layers,
-            steps: cache.steps + count,
-        };
-        Ok(logits)
+        let steps = cache.steps + count;
+        Ok((logits, KvCache { layers, steps }))
     }
 
     fn check(&self, steps: &Steps<'_>, cache: &KvCache) -> Result<usize, ModelError> {

@@ -135,6 +135,10 @@ pub struct SamplingDefaults {
     /// How strongly the music's time is followed; absent: 1, as the model says.
     #[serde(default = "unguided", skip_serializing_if = "is_unguided")]
     pub guidance: f32,
+    /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's;
+    /// absent: 1.
+    #[serde(default = "one_candidate", skip_serializing_if = "is_one_candidate")]
+    pub candidates: usize,
     /// How the window moves.
     pub window: WindowKind,
     /// Codes kept when a hop window shrinks.
@@ -151,6 +155,18 @@ fn unguided() -> f32 {
 )]
 fn is_unguided(guidance: &f32) -> bool {
     *guidance == unguided()
+}
+
+fn one_candidate() -> usize {
+    1
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde calls it with a reference"
+)]
+fn is_one_candidate(candidates: &usize) -> bool {
+    *candidates == one_candidate()
 }
 
 /// How weights are stored.
@@ -177,6 +193,8 @@ pub struct FileEntry {
 pub const MAX_COUNT_PERIODS: usize = 16;
 /// Highest temperature: beyond it every code is as likely as the next.
 pub const MAX_TEMPERATURE: f32 = 10.0;
+/// Most candidates for a phrase: the cost of a generation grows with them.
+pub const MAX_CANDIDATES: usize = 16;
 /// Highest guidance: beyond it little but noise is exaggerated.
 pub const MAX_GUIDANCE: f32 = 10.0;
 // A directory from a stranger must not make us allocate what it declares; the published sizes are
@@ -308,6 +326,7 @@ impl Manifest {
             temperature,
             top_k,
             guidance,
+            candidates,
             hop,
             ..
         } = self.sampling;
@@ -319,6 +338,11 @@ impl Manifest {
         if !(0.0..=MAX_GUIDANCE).contains(&guidance) {
             return Err(format!(
                 "sampling guidance is {guidance}, expected 0 to {MAX_GUIDANCE}"
+            ));
+        }
+        if !(1..=MAX_CANDIDATES).contains(&candidates) {
+            return Err(format!(
+                "sampling candidates is {candidates}, expected 1 to {MAX_CANDIDATES}"
             ));
         }
         if top_k == Some(0) {

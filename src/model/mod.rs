@@ -12,8 +12,9 @@ pub use directory::{ModelDirectory, file_sha256};
 pub use error::ModelError;
 pub use gpt::{Gpt, KvCache, Logits, Steps};
 pub use manifest::{
-    DecoderSpec, FORMAT_VERSION, FeatureSpec, FileEntry, GptSpec, MAX_COUNT_PERIODS, MAX_GUIDANCE,
-    MAX_TEMPERATURE, Manifest, SamplingDefaults, Vocabulary, WeightStorage, WindowKind,
+    DecoderSpec, FORMAT_VERSION, FeatureSpec, FileEntry, GptSpec, MAX_CANDIDATES,
+    MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, SamplingDefaults, Vocabulary,
+    WeightStorage, WindowKind,
 };
 pub use runtime::LIBRARY_VARIABLE;
 pub use vqvae::{Decoder, Encoder};

@@ -63,6 +63,7 @@ struct SamplingInfo {
     temperature: f32,
     top_k: Option<usize>,
     guidance: f32,
+    candidates: usize,
     #[schema(example = "hop")]
     window: &'static str,
     hop: usize,
@@ -124,6 +125,7 @@ impl ModelInfo {
                 temperature: sampling.temperature,
                 top_k: sampling.top_k,
                 guidance: sampling.guidance,
+                candidates: sampling.candidates,
                 window: match sampling.window {
                     WindowKind::Hop => "hop",
                     WindowKind::Sliding => "sliding",

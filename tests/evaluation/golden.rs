@@ -2,9 +2,12 @@
 
 use std::path::Path;
 
-use bailando::evaluation::{
-    BeatScore, BeatsFrom, Clips, EvaluationOptions, FeatureRows, KineticForm, Metric, Motion,
-    Report, Scores, dance_beats, evaluate, load_motion, speed,
+use bailando::{
+    evaluation::{
+        BeatScore, BeatsFrom, Clips, EvaluationOptions, FeatureRows, KineticForm, Metric, Motion,
+        Report, Scores, evaluate, load_motion, speed,
+    },
+    motion::dance_beats,
 };
 use ndarray::Array2;
 

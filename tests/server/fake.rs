@@ -187,6 +187,7 @@ fn manifest() -> Manifest {
             temperature: 1.0,
             top_k: None,
             guidance: 1.0,
+            candidates: 1,
             window: WindowKind::Hop,
             hop: 15,
         },

@@ -159,6 +159,7 @@ async fn wrong_options_are_refused_before_any_work() {
         "temperature=hot",
         "top_k=0",
         "guidance=-1",
+        "candidates=0",
         "start_upper=512",
         "window=wide",
         "hop=29",

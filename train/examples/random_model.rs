@@ -41,6 +41,7 @@ fn main() -> anyhow::Result<()> {
         start_codes: Vec::new(),
         temperature: 1.0,
         guidance: 1.0,
+        candidates: 1,
         motion_frame: MotionFrame::World,
         root_height: 0.93,
         weights: WeightStorage::F32,

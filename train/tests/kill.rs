@@ -26,6 +26,7 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, EngineConfig, GenerationOptions},
+    model::ModelDirectory,
 };
 use bailando_train::export::skeleton;
 use rand_chacha::{
@@ -224,6 +225,22 @@ fn a_run_that_is_killed_ends_as_one_that_is_not() {
         );
     }
     same(whole, broken);
+    another_default_is_another_model(&disturbed, &broken.join("model"));
+}
+
+/// The same stages, asked to be described otherwise.
+fn another_default_is_another_model(settings: &Path, model: &Path) {
+    let mut table: Table = fs::read_to_string(settings).unwrap().parse().unwrap();
+    let export = table["export"].as_table_mut().unwrap();
+    export.insert("candidates".into(), 2.into());
+    fs::write(settings, table.to_string()).unwrap();
+    let output = command(settings).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(texts(&output).contains("already there"), "{output:?}");
+    let output = command(settings).arg("--force").output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let manifest = ModelDirectory::open(model).unwrap();
+    assert_eq!(manifest.manifest().sampling.candidates, 2);
 }
 
 #[test]

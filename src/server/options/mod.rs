@@ -32,6 +32,7 @@ pub(crate) struct RequestOptions {
     temperature: Option<f32>,
     top_k: Option<usize>,
     guidance: Option<f32>,
+    candidates: Option<usize>,
     start_upper: Option<u32>,
     start_lower: Option<u32>,
     window: Option<WindowKind>,
@@ -123,6 +124,7 @@ impl RequestOptions {
             temperature: self.temperature,
             top_k: self.top_k,
             guidance: self.guidance,
+            candidates: self.candidates,
             start_upper: self.start_upper,
             start_lower: self.start_lower,
             window: self.window,
@@ -160,7 +162,7 @@ mod tests {
     #[test]
     fn every_option_is_read() {
         let options = query(
-            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5\
+            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5&candidates=3\
              &start_upper=1&start_lower=2&window=sliding&hop=15&offset_s=1.5&duration_s=2e1&root_motion=false\
              &music=true&include=rotations&encoding=base64&bvh_unit=m",
         )
@@ -177,6 +179,7 @@ mod tests {
                 temperature: Some(0.5),
                 top_k: Some(7),
                 guidance: Some(2.5),
+                candidates: Some(3),
                 start_upper: Some(1),
                 start_lower: Some(2),
                 window: Some(WindowKind::Sliding),
@@ -223,6 +226,10 @@ mod tests {
         says("temperature=1e300", "option `temperature`");
         says("temperature=-0.1", "option `temperature`");
         says("guidance=11", "option `guidance`");
+        says(
+            "candidates=17",
+            "option `candidates`: got \"17\", expected a whole number from 1 to 16",
+        );
         says("top_k=0", "expected a whole number from 1 to");
         says("start_upper=4294967296", "option `start_upper`");
         says("duration_s=0", "expected a number above 0");

@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use super::{RequestOptions, accepts::Accepts};
 use crate::{
-    engine::{MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
+    engine::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
     model::WindowKind,
     motion::FRAME_RATES,
 };
@@ -18,7 +18,7 @@ pub(super) struct OptionSpec {
     pub(super) read: fn(&mut RequestOptions, &str) -> bool,
 }
 
-pub(super) const OPTIONS: [OptionSpec; 17] = [
+pub(super) const OPTIONS: [OptionSpec; 18] = [
     OptionSpec {
         name: "format",
         about: "Format of the dance. Wins over the Accept header. Default: json.",
@@ -64,6 +64,15 @@ pub(super) const OPTIONS: [OptionSpec; 17] = [
             most: MAX_GUIDANCE as f64,
         },
         read: |options, text| put(&mut options.guidance, text),
+    },
+    OptionSpec {
+        name: "candidates",
+        about: "Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the music's; the cost grows with them. Default: the model's.",
+        accepts: Accepts::Integer {
+            least: 1,
+            most: MAX_CANDIDATES as u64,
+        },
+        read: |options, text| put(&mut options.candidates, text),
     },
     OptionSpec {
         name: "start_upper",

@@ -409,6 +409,7 @@ impl From<ImportArguments> for ImportOptions {
                 start_codes: Vec::new(),
                 temperature: arguments.temperature,
                 guidance: 1.0,
+                candidates: 1,
                 motion_frame: MotionFrame::World,
                 root_height: arguments.root_height,
                 weights: match arguments.weights {

@@ -64,6 +64,7 @@ pub(super) fn manifest(
             temperature: description.temperature,
             top_k: None,
             guidance: description.guidance,
+            candidates: description.candidates,
             window: WindowKind::Hop,
             hop: HOP_CODES.min(context),
         },

@@ -40,6 +40,8 @@ pub struct Description {
     pub temperature: f32,
     /// Default guidance by the music's time; 1 is none.
     pub guidance: f32,
+    /// Default number of candidates for a phrase; 1 takes what comes.
+    pub candidates: usize,
     /// Frame of the motion that the weights were trained on.
     pub motion_frame: MotionFrame,
     /// Height in metres at which the root starts.

@@ -218,6 +218,7 @@ pub struct ExportConfig {
     pub root_height: f32,
     pub temperature: f32,
     pub guidance: f32,
+    pub candidates: usize,
     pub weights: WeightStorage,
 }
 

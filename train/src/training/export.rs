@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use bailando::model::{Manifest, ModelDirectory};
+use bailando::model::{Manifest, ModelDirectory, SamplingDefaults};
 use burn_flex::{Flex, FlexDevice};
 use serde_json::Value;
 
@@ -56,6 +56,7 @@ pub(super) fn write<const N: usize>(
         start_codes: policy.starts.clone(),
         temperature: config.export.temperature,
         guidance: config.export.guidance,
+        candidates: config.export.candidates,
         motion_frame: config.data.frame,
         root_height: config.export.root_height,
         weights: config.export.weights,
@@ -97,13 +98,23 @@ fn checkpoints(config: &Config) -> Result<Value, TrainError> {
     Ok(Value::Object(sums?))
 }
 
-/// Whether the model directory is there and made of the stages as they are.
+/// Whether the model directory is there, made of the stages as they are, and described as asked for.
 pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
     let Ok(directory) = ModelDirectory::open(&config.export.folder) else {
         return Ok(false);
     };
-    let made_of = directory.manifest().training.get(CHECKPOINTS);
-    Ok(made_of == Some(&checkpoints(config)?))
+    let (manifest, asked) = (directory.manifest(), &config.export);
+    let sampling = SamplingDefaults {
+        temperature: asked.temperature,
+        guidance: asked.guidance,
+        candidates: asked.candidates,
+        ..manifest.sampling
+    };
+    let described = (&manifest.name, &manifest.licence, manifest.weights)
+        == (&asked.name, &asked.licence, asked.weights)
+        && manifest.sampling == sampling;
+    let made_of = manifest.training.get(CHECKPOINTS);
+    Ok(described && made_of == Some(&checkpoints(config)?))
 }
 
 /// The weights of a finished run, and the pairs of codes that its training pieces begin with.

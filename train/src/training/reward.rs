@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use bailando::{
-    evaluation::{Pose, beat_nearness, dance_beats, speed},
-    motion::Positions,
+    evaluation::{Pose, speed},
+    motion::{Positions, beat_nearness, dance_beats},
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};

@@ -65,6 +65,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             start_codes: Vec::new(),
             temperature: 0.0,
             guidance: 1.0,
+            candidates: 1,
             motion_frame: MotionFrame::World,
             root_height: 0.93,
             weights: WeightStorage::F32,

@@ -1,0 +1,149 @@
+//! Best of several candidates, phrase by phrase: of what the model would dance next, that whose beats
+//! lie nearest to the music's (the reward of Eq. 15 as a choice instead of a lesson) and that does not
+//! freeze.
+
+use super::{
+    error::of_model,
+    generator::{Dancing, Request},
+    sampler::Sampler,
+};
+use crate::{
+    Result,
+    format::Codes,
+    model::{Decoder, Gpt, Manifest},
+    motion::{beat_nearness, dance_beats, joint_speed},
+};
+
+/// Codes that are chosen at once: about two seconds, a bar or so.
+const PHRASE: usize = 16;
+/// Codes at a phrase's end that are judged with the next one: their speed is smoothed, and decoded, with
+/// what follows.
+const UNSETTLED: usize = 2;
+/// Settled codes before those judged that are decoded with them.
+const CONTEXT: usize = 3;
+
+/// A mean speed of the joints that counts as standing still, m/s (METRICS.md).
+const SLOW: f64 = 0.15;
+
+/// What candidates are judged by.
+pub(crate) struct Search<'a> {
+    /// Candidates for every phrase.
+    pub(crate) candidates: usize,
+    /// Frames of the music's beats, ascending.
+    pub(crate) beats: &'a [usize],
+    pub(crate) decoder: &'a mut Decoder,
+    pub(crate) manifest: &'a Manifest,
+}
+
+impl Search<'_> {
+    /// Generates one code pair per music row, beginning with the start pair.
+    pub(crate) fn generate_codes(
+        &mut self,
+        gpt: &mut Gpt,
+        sampler: &mut Sampler,
+        request: &Request<'_>,
+    ) -> Result<Codes> {
+        let rows = request.music.nrows();
+        let mut dance = Dancing::new(gpt, request).map_err(of_model)?;
+        while dance.codes.upper.len() < rows {
+            let settled = dance.codes.upper.len();
+            let length = (settled + PHRASE).min(rows);
+            let mut best: Option<(f64, Dancing)> = None;
+            for _ in 0..self.candidates.max(1) {
+                let mut candidate = dance.clone();
+                while candidate.codes.upper.len() < length {
+                    candidate.step(gpt, sampler, request).map_err(of_model)?;
+                }
+                let score = self.score(&candidate.codes, settled, length == rows, request)?;
+                if best.as_ref().is_none_or(|(least, _)| score > *least) {
+                    best = Some((score, candidate));
+                }
+            }
+            if let Some((_, chosen)) = best {
+                dance = chosen;
+            }
+            request.progress.codes(length, rows);
+        }
+        Ok(dance.codes)
+    }
+
+    /// What the frames are worth that the codes from `settled` on decide about: how well their beats meet,
+    /// less the share of them that stands still.
+    fn score(
+        &mut self,
+        codes: &Codes,
+        settled: usize,
+        ends: bool,
+        request: &Request<'_>,
+    ) -> Result<f64> {
+        let per_code = self.manifest.frames_per_code;
+        let from = settled.saturating_sub(UNSETTLED);
+        let to = codes.upper.len() - if ends { 0 } else { UNSETTLED };
+        let first = from.saturating_sub(CONTEXT);
+        let decoded = self
+            .decoder
+            .decode(
+                codes.upper.get(first..).unwrap_or_default(),
+                codes.lower.get(first..).unwrap_or_default(),
+                request.cancel,
+            )
+            .map_err(of_model)?;
+        let motion = self.manifest.motion_frame.into_world(decoded)?;
+        let speed = joint_speed(motion.view());
+        let beats = dance_beats(&speed).into_iter();
+        let dance: Vec<usize> = beats.map(|frame| first * per_code + frame).collect();
+        let judged = from * per_code..to * per_code;
+        let slow = SLOW / f64::from(self.manifest.fps);
+        let judged_speed = speed
+            .get(judged.start - first * per_code..)
+            .unwrap_or_default();
+        Ok(meeting(self.beats, &dance, judged.clone())
+            - share_below(slow, judged_speed, judged.len()))
+    }
+}
+
+/// Mean nearness of the beats of either kind within some frames to the nearest of the other; 0 without
+/// any. Both kinds: otherwise the candidate with more dance beats would be better than chance always.
+fn meeting(music: &[usize], dance: &[usize], frames: std::ops::Range<usize>) -> f64 {
+    let within = |beats: &[usize]| -> Vec<usize> {
+        let beats = beats.iter().copied();
+        beats.filter(|beat| frames.contains(beat)).collect()
+    };
+    let (of_music, of_dance) = (within(music), within(dance));
+    let sum = of_music.len() as f64 * beat_nearness(&of_music, dance)
+        + of_dance.len() as f64 * beat_nearness(&of_dance, music);
+    sum / (of_music.len() + of_dance.len()).max(1) as f64
+}
+
+/// Share of the first `count` values that are less than `limit`.
+fn share_below(limit: f64, values: &[f64], count: usize) -> f64 {
+    let values = values.get(..count).unwrap_or(values);
+    let below = values.iter().filter(|&&value| value < limit).count();
+    below as f64 / values.len().max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_share_is_of_the_first_values() {
+        assert_eq!(share_below(0.5, &[0.1, 0.9, 0.2, 0.0], 2), 0.5);
+        assert_eq!(share_below(0.5, &[0.1, 0.9], 5), 0.5);
+        assert_eq!(share_below(0.5, &[], 5), 0.0);
+    }
+
+    #[test]
+    fn beats_meet_where_both_kinds_are_near() {
+        let near = |d: f64| (-d * d / 18.0).exp();
+        assert_eq!(meeting(&[20, 90], &[20, 80], 10..50), 1.0);
+        assert_eq!(meeting(&[], &[20], 10..50), 0.0);
+        assert_eq!(meeting(&[5, 60], &[5, 60], 10..50), 0.0);
+        // The dance's second beat is at no beat of the music.
+        let found = meeting(&[20], &[21, 40], 10..50);
+        assert!((found - (2.0 * near(1.0) + near(20.0)) / 3.0).abs() < 1e-12);
+        // A beat outside is a neighbour still.
+        let found = meeting(&[48], &[51], 10..50);
+        assert!((found - near(3.0)).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,158 @@
+//! Beats of a dance: where a body moves least (METRICS.md "Beat Align Score", paper Eq. 15).
+
+use ndarray::ArrayView2;
+
+/// Deviation of the smoothing of the speed, in frames.
+const SMOOTHING: f64 = 5.0;
+/// Reach of the smoothing: four deviations.
+const RADIUS: usize = 20;
+/// Deviation of the reward for being near a beat, in frames.
+const TOLERANCE: f64 = 3.0;
+
+/// Mean speed of the joints from each frame to the next, metres per frame, of motion
+/// `[frames, 3 joints]`: root velocity in columns 0..3, joints relative to the root, in world
+/// directions. One value fewer than frames.
+#[must_use]
+pub fn joint_speed(motion: ArrayView2<'_, f32>) -> Vec<f64> {
+    let joints = motion.ncols() / 3;
+    let steps = motion.outer_iter().zip(motion.outer_iter().skip(1));
+    steps
+        .map(|(now, next)| {
+            let moved = |joint: usize| {
+                let axes = (0..3).map(|axis| {
+                    let column = 3 * joint + axis;
+                    let relative = if joint == 0 {
+                        0.0
+                    } else {
+                        next[column] - now[column]
+                    };
+                    f64::from(now[axis] + relative).powi(2)
+                });
+                axes.sum::<f64>().sqrt()
+            };
+            (0..joints).map(moved).sum::<f64>() / joints.max(1) as f64
+        })
+        .collect()
+}
+
+/// Strict local minima of the smoothed speed; never its ends.
+#[must_use]
+pub fn dance_beats(speed: &[f64]) -> Vec<usize> {
+    let smooth = smoothed(speed);
+    let minimum = |at: &usize| smooth[at - 1] > smooth[*at] && smooth[*at] < smooth[at + 1];
+    (1..smooth.len().saturating_sub(1))
+        .filter(minimum)
+        .collect()
+}
+
+/// Gaussian smoothing; beyond the ends the curve is mirrored, its last value repeated
+/// (half-sample symmetric).
+fn smoothed(curve: &[f64]) -> Vec<f64> {
+    let length = curve.len();
+    let weights: Vec<f64> = (0..=2 * RADIUS)
+        .map(|at| {
+            let distance = at as f64 - RADIUS as f64;
+            (-0.5 * (distance / SMOOTHING).powi(2)).exp()
+        })
+        .collect();
+    let total: f64 = weights.iter().sum();
+    (0..length)
+        .map(|centre| {
+            let taps = weights.iter().enumerate();
+            let sum: f64 = taps
+                .map(|(at, weight)| {
+                    let place = (centre + at) as isize - RADIUS as isize;
+                    weight * curve[mirrored(place, length)]
+                })
+                .sum();
+            sum / total
+        })
+        .collect()
+}
+
+fn mirrored(place: isize, length: usize) -> usize {
+    let folded = place.rem_euclid(2 * length as isize).unsigned_abs();
+    folded.min(2 * length - 1 - folded)
+}
+
+/// Mean over `beats` of `exp(-d^2 / (2 * 3^2))`, `d` frames to the nearest of `others` (ascending);
+/// 0 when either is empty.
+#[must_use]
+pub fn beat_nearness(beats: &[usize], others: &[usize]) -> f64 {
+    if beats.is_empty() {
+        return 0.0;
+    }
+    let one = |&beat: &usize| {
+        let after = others.partition_point(|&other| other < beat);
+        let neighbours = [after.checked_sub(1), Some(after)];
+        let distances = neighbours
+            .into_iter()
+            .flatten()
+            .filter_map(|at| others.get(at));
+        let nearest = distances.map(|other| other.abs_diff(beat)).min();
+        nearest.map_or(0.0, |d| (-0.5 * (d as f64 / TOLERANCE).powi(2)).exp())
+    };
+    beats.iter().map(one).sum::<f64>() / beats.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use ndarray::array;
+
+    use super::*;
+
+    fn close(got: f64, expected: f64) {
+        assert!((got - expected).abs() < 1e-12, "{got} {expected}");
+    }
+
+    #[test]
+    fn speed_is_of_places_in_the_world() {
+        // The root walks along x; the other joint stays where it is, then moves by (0, 4, 3) more.
+        let motion = array![
+            [1.0_f32, 0.0, 0.0, 0.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0, -1.0, 1.0, 0.0],
+            [9.0, 9.0, 9.0, -1.0, 5.0, 3.0],
+        ];
+        assert_eq!(joint_speed(motion.view()), [0.5, 2.5]);
+        assert!(joint_speed(motion.slice_axis(ndarray::Axis(0), (..1).into())).is_empty());
+    }
+
+    #[test]
+    fn smoothing_is_a_gaussian_with_mirrored_ends() {
+        let mut impulse = vec![0.0; 101];
+        impulse[50] = 1.0;
+        let smooth = smoothed(&impulse);
+        close(smooth.iter().sum(), 1.0);
+        close(smooth[55] / smooth[50], (-0.5_f64).exp());
+        assert!(smooth[70] > 0.0 && smooth[71] == 0.0);
+        // Half-sample symmetric: the first value counts twice at the edge.
+        let mut edge = vec![0.0; 101];
+        edge[0] = 1.0;
+        close(smoothed(&edge)[0], smooth[50] + smooth[51]);
+        let constant = smoothed(&[2.0; 7]);
+        assert!(constant.iter().all(|v| (v - 2.0).abs() < 1e-12));
+    }
+
+    #[test]
+    fn dance_beats_are_where_the_speed_is_least() {
+        let speed: Vec<f64> = (0..300)
+            .map(|t| 1.0 + (TAU * t as f64 / 60.0).cos())
+            .collect();
+        assert_eq!(dance_beats(&speed), [30, 90, 150, 210, 270]);
+        assert!(dance_beats(&[1.0; 50]).is_empty());
+        assert!(dance_beats(&[]).is_empty());
+    }
+
+    #[test]
+    fn nearness_is_to_the_nearest_of_the_others() {
+        let near = |d: f64| (-d * d / 18.0).exp();
+        close(
+            beat_nearness(&[10, 50], &[13, 49, 120]),
+            (near(3.0) + near(1.0)) / 2.0,
+        );
+        assert_eq!(beat_nearness(&[10], &[]), 0.0);
+        assert_eq!(beat_nearness(&[], &[10]), 0.0);
+    }
+}
