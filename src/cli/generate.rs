@@ -69,8 +69,9 @@ struct SamplingArgs {
     /// twice the cost
     #[arg(long)]
     guidance: Option<f32>,
-    /// Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the
-    /// music's; the cost grows with them
+    /// Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to
+    /// the music's and that does not freeze; the cost grows with them. One with --features, which
+    /// tell no beats
     #[arg(long)]
     candidates: Option<usize>,
     /// First pose code of the upper body
@@ -126,7 +127,7 @@ struct RowsArgs {
         value_name = "F.npy",
         conflicts_with_all = [
             "output", "out_dir", "include_rotations", "encoding", "bvh_unit", "offset_s",
-            "duration_s", "fps", "root_motion", "music", "max_audio_seconds",
+            "duration_s", "fps", "root_motion", "music", "max_audio_seconds", "candidates",
         ]
     )]
     features: Option<PathBuf>,

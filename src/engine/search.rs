@@ -25,6 +25,11 @@ const CONTEXT: usize = 3;
 /// A mean speed of the joints that counts as standing still, m/s (METRICS.md).
 const SLOW: f64 = 0.15;
 
+/// With this share of slow frames a phrase freezes, and more candidates are tried ..
+const FREEZING: f64 = 0.1;
+/// .. up to so many times the usual number.
+const PATIENCE: usize = 4;
+
 /// What candidates are judged by.
 pub(crate) struct Search<'a> {
     /// Candidates for every phrase.
@@ -33,6 +38,21 @@ pub(crate) struct Search<'a> {
     pub(crate) beats: &'a [usize],
     pub(crate) decoder: &'a mut Decoder,
     pub(crate) manifest: &'a Manifest,
+}
+
+/// What is thought of a candidate.
+#[derive(Clone, Copy, Debug)]
+struct Verdict {
+    /// How well its beats meet the music's, 0 to 1.
+    meeting: f64,
+    /// Share of its frames that stand still.
+    slow: f64,
+}
+
+impl Verdict {
+    fn worth(self) -> f64 {
+        self.meeting - self.slow
+    }
 }
 
 impl Search<'_> {
@@ -48,15 +68,20 @@ impl Search<'_> {
         while dance.codes.upper.len() < rows {
             let settled = dance.codes.upper.len();
             let length = (settled + PHRASE).min(rows);
-            let mut best: Option<(f64, Dancing)> = None;
-            for _ in 0..self.candidates.max(1) {
+            let mut best: Option<(Verdict, Dancing)> = None;
+            for tried in 0..PATIENCE * self.candidates {
+                let enough = |(verdict, _): &(Verdict, Dancing)| verdict.slow < FREEZING;
+                if tried >= self.candidates && best.as_ref().is_some_and(enough) {
+                    break;
+                }
                 let mut candidate = dance.clone();
                 while candidate.codes.upper.len() < length {
                     candidate.step(gpt, sampler, request).map_err(of_model)?;
                 }
-                let score = self.score(&candidate.codes, settled, length == rows, request)?;
-                if best.as_ref().is_none_or(|(least, _)| score > *least) {
-                    best = Some((score, candidate));
+                let verdict = self.judge(&candidate.codes, settled, length == rows, request)?;
+                let better = |(least, _): &(Verdict, Dancing)| verdict.worth() > least.worth();
+                if best.as_ref().is_none_or(better) {
+                    best = Some((verdict, candidate));
                 }
             }
             if let Some((_, chosen)) = best {
@@ -67,15 +92,14 @@ impl Search<'_> {
         Ok(dance.codes)
     }
 
-    /// What the frames are worth that the codes from `settled` on decide about: how well their beats meet,
-    /// less the share of them that stands still.
-    fn score(
+    /// Judges the frames that the codes from `settled` on decide about.
+    fn judge(
         &mut self,
         codes: &Codes,
         settled: usize,
         ends: bool,
         request: &Request<'_>,
-    ) -> Result<f64> {
+    ) -> Result<Verdict> {
         let per_code = self.manifest.frames_per_code;
         let from = settled.saturating_sub(UNSETTLED);
         let to = codes.upper.len() - if ends { 0 } else { UNSETTLED };
@@ -97,8 +121,10 @@ impl Search<'_> {
         let judged_speed = speed
             .get(judged.start - first * per_code..)
             .unwrap_or_default();
-        Ok(meeting(self.beats, &dance, judged.clone())
-            - share_below(slow, judged_speed, judged.len()))
+        Ok(Verdict {
+            slow: share_below(slow, judged_speed, judged.len()),
+            meeting: meeting(self.beats, &dance, judged),
+        })
     }
 }
 
