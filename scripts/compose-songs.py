@@ -3,8 +3,8 @@
 
 Usage: scripts/compose-songs.py FOLDER
 
-Hip-hop at 90 beats a minute, house at 128, drum and bass at 175. The same bytes on every run: noise
-comes from a seeded generator. Python's standard library is all it needs.
+Hip-hop at 90 beats a minute, house at 128, drum and bass at 175. The same on every run: noise comes
+from a seeded generator. Python's standard library is all it needs.
 """
 
 import array

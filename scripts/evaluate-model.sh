@@ -16,6 +16,7 @@ out=${3:-target/evaluation}
 bailando=${BAILANDO:-target/release/bailando}
 trainer=${BAILANDO_TRAIN:-target/release/bailando-train}
 
+mkdir -p "$out"
 pieces() {
     python3 -c 'import json, sys
 for piece in json.load(open(sys.argv[1]))["pieces"]:
@@ -23,13 +24,13 @@ for piece in json.load(open(sys.argv[1]))["pieces"]:
         print(piece["id"], piece["audio"])' "$data/index.json"
 }
 
-rm -rf "$out/dances"
 # dance SONG OUT SEED
 dance() {
     "$bailando" generate "$1" -o "$2" --model-dir "$model" --music false --seed "$3" --threads 1 \
         > "$out/generate.log" 2>&1 || { cat "$out/generate.log" >&2; exit 1; }
 }
 
+rm -rf "$out/dances"
 for seed in 1 2 3; do
     mkdir -p "$out/dances/seed$seed"
     number=0

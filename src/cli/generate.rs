@@ -65,13 +65,13 @@ struct SamplingArgs {
     /// Draw from this many most likely codes only
     #[arg(long)]
     top_k: Option<usize>,
-    /// How strongly the dance follows the music's beat: 1 as the model says, above it more so, at
-    /// twice the cost
+    /// How strongly the dance follows the music's beat: 1 as the model says, above it more so,
+    /// below it less; other than 1 costs twice as much
     #[arg(long)]
     guidance: Option<f32>,
     /// Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to
-    /// the music's and that does not freeze; the cost grows with them. One with --features, which
-    /// tell no beats
+    /// the music's, less its share of frames that stand still (up to 12 while the best one freezes);
+    /// the cost grows with them. One with --features, which tell no beats
     #[arg(long)]
     candidates: Option<usize>,
     /// First pose code of the upper body

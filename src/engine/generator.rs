@@ -29,7 +29,7 @@ pub(crate) struct Request<'a> {
     pub(crate) start: [u32; 2],
     /// How the window of past codes moves.
     pub(crate) window: Window,
-    /// Hears about every code.
+    /// Hears how many codes there are.
     pub(crate) progress: &'a dyn Progress,
     /// Checked at every step.
     pub(crate) cancel: &'a CancelToken,
@@ -87,7 +87,9 @@ impl Dancing {
             WindowStep::Extend => step,
             WindowStep::Prime { start } => {
                 self.heard = Rc::new(gpt.empty_cache()?);
-                self.unheard = Rc::new(gpt.empty_cache()?);
+                if request.guide.is_some() {
+                    self.unheard = Rc::new(gpt.empty_cache()?);
+                }
                 start
             }
         };

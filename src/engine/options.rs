@@ -16,10 +16,11 @@ pub struct GenerationOptions {
     pub temperature: Option<f32>,
     /// Draw from this many most likely codes.
     pub top_k: Option<usize>,
-    /// How strongly the dance follows the music's time: 1 as the model says, more exaggerates it (at
-    /// twice the cost).
+    /// How strongly the dance follows the music's time: 1 as the model says, more exaggerates it, less
+    /// hides it; other than 1 costs twice as much.
     pub guidance: Option<f32>,
-    /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's.
+    /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's, less
+    /// its share of frames that stand still (up to 12 while the best one freezes).
     pub candidates: Option<usize>,
     /// First upper pose code; drawn from the manifest's list if absent.
     pub start_upper: Option<u32>,

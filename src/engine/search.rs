@@ -1,6 +1,6 @@
 //! Best of several candidates, phrase by phrase: of what the model would dance next, that whose beats
-//! lie nearest to the music's (the reward of Eq. 15 as a choice instead of a lesson) and that does not
-//! freeze.
+//! lie nearest to the music's (the reward of Eq. 15 as a choice instead of a lesson), less its share of
+//! frames that stand still.
 
 use super::{
     error::of_model,
@@ -11,7 +11,7 @@ use crate::{
     Result,
     format::Codes,
     model::{Decoder, Gpt, Manifest},
-    motion::{beat_nearness, dance_beats, joint_speed},
+    motion::{SLOW, beat_meeting, dance_beats, joint_speed},
 };
 
 /// Codes that are chosen at once: about two seconds, a bar or so.
@@ -19,16 +19,14 @@ const PHRASE: usize = 16;
 /// Codes at a phrase's end that are judged with the next one: their speed is smoothed, and decoded, with
 /// what follows.
 const UNSETTLED: usize = 2;
-/// Settled codes before those judged that are decoded with them.
+/// Settled codes before those judged that are decoded with them: what is judged is near the dance, not
+/// the same, as its decoder sees further; the whole of that would double the cost.
 const CONTEXT: usize = 3;
 
-/// A mean speed of the joints that counts as standing still, m/s (METRICS.md).
-const SLOW: f64 = 0.15;
-
-/// With this share of slow frames a phrase freezes, and more candidates are tried ..
+/// While the best candidate has this share of slow frames, it freezes, and more are tried ..
 const FREEZING: f64 = 0.1;
-/// .. up to so many times the usual number.
-const PATIENCE: usize = 4;
+/// .. until there were so many: what one request may cost stays bounded.
+const PATIENCE: usize = 12;
 
 /// What candidates are judged by.
 pub(crate) struct Search<'a> {
@@ -69,7 +67,7 @@ impl Search<'_> {
             let settled = dance.codes.upper.len();
             let length = (settled + PHRASE).min(rows);
             let mut best: Option<(Verdict, Dancing)> = None;
-            for tried in 0..PATIENCE * self.candidates {
+            for tried in 0..self.candidates.max(PATIENCE) {
                 let enough = |(verdict, _): &(Verdict, Dancing)| verdict.slow < FREEZING;
                 if tried >= self.candidates && best.as_ref().is_some_and(enough) {
                     break;
@@ -123,22 +121,9 @@ impl Search<'_> {
             .unwrap_or_default();
         Ok(Verdict {
             slow: share_below(slow, judged_speed, judged.len()),
-            meeting: meeting(self.beats, &dance, judged),
+            meeting: beat_meeting(self.beats, &dance, judged).unwrap_or(0.0),
         })
     }
-}
-
-/// Mean nearness of the beats of either kind within some frames to the nearest of the other; 0 without
-/// any. Both kinds: otherwise the candidate with more dance beats would be better than chance always.
-fn meeting(music: &[usize], dance: &[usize], frames: std::ops::Range<usize>) -> f64 {
-    let within = |beats: &[usize]| -> Vec<usize> {
-        let beats = beats.iter().copied();
-        beats.filter(|beat| frames.contains(beat)).collect()
-    };
-    let (of_music, of_dance) = (within(music), within(dance));
-    let sum = of_music.len() as f64 * beat_nearness(&of_music, dance)
-        + of_dance.len() as f64 * beat_nearness(&of_dance, music);
-    sum / (of_music.len() + of_dance.len()).max(1) as f64
 }
 
 /// Share of the first `count` values that are less than `limit`.
@@ -157,19 +142,5 @@ mod tests {
         assert_eq!(share_below(0.5, &[0.1, 0.9, 0.2, 0.0], 2), 0.5);
         assert_eq!(share_below(0.5, &[0.1, 0.9], 5), 0.5);
         assert_eq!(share_below(0.5, &[], 5), 0.0);
-    }
-
-    #[test]
-    fn beats_meet_where_both_kinds_are_near() {
-        let near = |d: f64| (-d * d / 18.0).exp();
-        assert_eq!(meeting(&[20, 90], &[20, 80], 10..50), 1.0);
-        assert_eq!(meeting(&[], &[20], 10..50), 0.0);
-        assert_eq!(meeting(&[5, 60], &[5, 60], 10..50), 0.0);
-        // The dance's second beat is at no beat of the music.
-        let found = meeting(&[20], &[21, 40], 10..50);
-        assert!((found - (2.0 * near(1.0) + near(20.0)) / 3.0).abs() < 1e-12);
-        // A beat outside is a neighbour still.
-        let found = meeting(&[48], &[51], 10..50);
-        assert!((found - near(3.0)).abs() < 1e-12);
     }
 }

@@ -113,7 +113,7 @@ impl Sessions {
         let job = Job {
             music: Array2::zeros((3, columns)),
             sampling: Sampling {
-                temperature: 0.0,
+                temperature: 1.0,
                 top_k: None,
             },
             // Two branches, if that is the default.
@@ -144,8 +144,7 @@ impl Sessions {
             progress: job.progress.as_ref(),
             cancel: &job.cancel,
         };
-        // Without beats there is nothing to choose by.
-        let codes = if job.candidates > 1 && !job.beats.is_empty() {
+        let codes = if job.has_a_choice() {
             let mut search = Search {
                 candidates: job.candidates,
                 beats: &job.beats,

@@ -39,10 +39,18 @@ pub(crate) struct Job {
     pub(crate) start: [Option<u32>; 2],
     /// How the window of past codes moves.
     pub(crate) window: Window,
-    /// Hears about every code.
+    /// Hears how many codes there are.
     pub(crate) progress: Arc<dyn Progress>,
     /// Checked at every step.
     pub(crate) cancel: CancelToken,
+}
+
+impl Job {
+    /// Whether candidates differ, and there are beats to choose between them by.
+    pub(crate) fn has_a_choice(&self) -> bool {
+        let differ = self.sampling.temperature > 0.0 && self.sampling.top_k != Some(1);
+        self.candidates > 1 && differ && !self.beats.is_empty()
+    }
 }
 
 /// What the model made of a [`Job`].

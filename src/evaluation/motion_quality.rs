@@ -7,10 +7,8 @@ use super::{
         joint::{LEFT_TOES, RIGHT_TOES},
     },
 };
-use crate::motion::dance_beats;
+use crate::motion::{SLOW, dance_beats};
 
-/// A frame whose mean joint speed is below this is slow, m/s.
-const SLOW: f64 = 0.15;
 /// Speeds per window that is looked at for freezing: five seconds.
 const WINDOW: usize = 300;
 /// Speeds from one such window to the next.

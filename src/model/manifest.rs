@@ -135,8 +135,8 @@ pub struct SamplingDefaults {
     /// How strongly the music's time is followed; absent: 1, as the model says.
     #[serde(default = "unguided", skip_serializing_if = "is_unguided")]
     pub guidance: f32,
-    /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's;
-    /// absent: 1.
+    /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's, less
+    /// its share of frames that stand still; absent: 1.
     #[serde(default = "one_candidate", skip_serializing_if = "is_one_candidate")]
     pub candidates: usize,
     /// How the window moves.

@@ -1,7 +1,11 @@
 //! Beats of a dance: where a body moves least (METRICS.md "Beat Align Score", paper Eq. 15).
 
+use std::ops::Range;
+
 use ndarray::ArrayView2;
 
+/// A mean speed of the joints below this is slow, m/s (METRICS.md).
+pub const SLOW: f64 = 0.15;
 /// Deviation of the smoothing of the speed, in frames.
 const SMOOTHING: f64 = 5.0;
 /// Reach of the smoothing: four deviations.
@@ -95,6 +99,22 @@ pub fn beat_nearness(beats: &[usize], others: &[usize]) -> f64 {
     beats.iter().map(one).sum::<f64>() / beats.len() as f64
 }
 
+/// Mean nearness of the beats of either kind within some frames to the nearest of the other, 0 to 1; none
+/// without any. Both lists ascend. Both kinds count: by the music's alone more dance beats would always
+/// be better.
+#[must_use]
+pub fn beat_meeting(music: &[usize], dance: &[usize], frames: Range<usize>) -> Option<f64> {
+    let within = |beats: &[usize]| -> Vec<usize> {
+        let beats = beats.iter().copied();
+        beats.filter(|beat| frames.contains(beat)).collect()
+    };
+    let (of_music, of_dance) = (within(music), within(dance));
+    let count = of_music.len() + of_dance.len();
+    let sum = of_music.len() as f64 * beat_nearness(&of_music, dance)
+        + of_dance.len() as f64 * beat_nearness(&of_dance, music);
+    (count > 0).then(|| sum / count as f64)
+}
+
 #[cfg(test)]
 mod tests {
     use std::f64::consts::TAU;
@@ -154,5 +174,19 @@ mod tests {
         );
         assert_eq!(beat_nearness(&[10], &[]), 0.0);
         assert_eq!(beat_nearness(&[], &[10]), 0.0);
+    }
+
+    #[test]
+    fn beats_meet_where_both_kinds_are_near() {
+        let near = |d: f64| (-d * d / 18.0).exp();
+        assert_eq!(beat_meeting(&[20, 90], &[20, 80], 10..50), Some(1.0));
+        assert_eq!(beat_meeting(&[], &[20], 10..50), Some(0.0));
+        assert_eq!(beat_meeting(&[5, 60], &[5, 60], 10..50), None);
+        // The dance's second beat is at no beat of the music.
+        let found = beat_meeting(&[20], &[21, 40], 10..50).unwrap();
+        assert!((found - (2.0 * near(1.0) + near(20.0)) / 3.0).abs() < 1e-12);
+        // A beat outside is a neighbour still.
+        let found = beat_meeting(&[48], &[51], 10..50).unwrap();
+        assert!((found - near(3.0)).abs() < 1e-12);
     }
 }

@@ -59,7 +59,7 @@ pub(super) const OPTIONS: [OptionSpec; 18] = [
     },
     OptionSpec {
         name: "guidance",
-        about: "How strongly the dance follows the music's beat: 1 as the model says, above it more so, at twice the cost. Default: the model's.",
+        about: "How strongly the dance follows the music's beat: 1 as the model says, above it more so, below it less; other than 1 costs twice as much. Default: the model's.",
         accepts: Accepts::Number {
             most: MAX_GUIDANCE as f64,
         },
@@ -67,7 +67,7 @@ pub(super) const OPTIONS: [OptionSpec; 18] = [
     },
     OptionSpec {
         name: "candidates",
-        about: "Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the music's; the cost grows with them. Default: the model's.",
+        about: "Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the music's, less its share of frames that stand still (up to 12 while the best one freezes); the cost grows with them. Default: the model's.",
         accepts: Accepts::Integer {
             least: 1,
             most: MAX_CANDIDATES as u64,

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use bailando::{
     features::Profile,
-    model::{MAX_COUNT_PERIODS, WeightStorage},
+    model::{MAX_CANDIDATES, MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, WeightStorage},
     motion::MotionFrame,
 };
 use serde::{Deserialize, Serialize};
@@ -264,6 +264,7 @@ impl Config {
                 .check()
                 .map_err(|message| format!("{stage}.training: {message}"))?;
         }
+        self.export.check()?;
         let crops = [
             ("vqvae", self.vqvae.frames, self.vqvae.stride),
             ("velocity", self.velocity.frames, self.velocity.stride),
@@ -366,6 +367,28 @@ impl ActorCriticConfig {
     }
 }
 
+impl ExportConfig {
+    /// What a manifest would be refused for after all the training.
+    fn check(&self) -> Result<(), String> {
+        let numbers = [
+            ("temperature", self.temperature, MAX_TEMPERATURE),
+            ("guidance", self.guidance, MAX_GUIDANCE),
+        ];
+        for (name, value, most) in numbers {
+            if !(0.0..=most).contains(&value) {
+                return Err(format!("export.{name} ({value}) must lie in 0..={most}"));
+            }
+        }
+        if !(1..=MAX_CANDIDATES).contains(&self.candidates) {
+            let candidates = self.candidates;
+            return Err(format!(
+                "export.candidates ({candidates}) must lie in 1..={MAX_CANDIDATES}"
+            ));
+        }
+        Ok(())
+    }
+}
+
 impl TrainingConfig {
     fn check(&self) -> Result<(), String> {
         if self.batch == 0 || (self.steps == 0 && self.epochs == 0) {
@@ -461,6 +484,9 @@ mod tests {
             "[gpt.training]\nrate = 0",
             "[actor_critic]\nactor_steps = 0",
             "[actor_critic]\ntemperature = -1.0",
+            "[export]\ntemperature = 11.0",
+            "[export]\nguidance = -0.5",
+            "[export]\ncandidates = 0",
             "[adapt]\npieces_per_epoch = 0",
             "[ablation]\nseparate_halves = true\nwhole_body = true",
             "[ablation]\ncontinuous = true",

@@ -112,7 +112,8 @@ pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
     };
     let described = (&manifest.name, &manifest.licence, manifest.weights)
         == (&asked.name, &asked.licence, asked.weights)
-        && manifest.sampling == sampling;
+        && manifest.sampling == sampling
+        && manifest.skeleton.root_height == asked.root_height;
     let made_of = manifest.training.get(CHECKPOINTS);
     Ok(described && made_of == Some(&checkpoints(config)?))
 }

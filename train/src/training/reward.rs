@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use bailando::{
     evaluation::{Pose, speed},
-    motion::{Positions, beat_nearness, dance_beats},
+    motion::{Positions, beat_meeting, dance_beats},
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -90,26 +90,18 @@ impl RewardRule {
 impl BeatReward {
     /// Of the code of some frames, given all beats in ascending order.
     fn of(self, music: &[usize], dance: &[usize], frames: Range<usize>) -> f64 {
-        let [of_music, of_dance] = [music, dance].map(|beats| within(beats, &frames));
-        let (has_music, has_dance) = (!of_music.is_empty(), !of_dance.is_empty());
+        let within = |beats: &[usize]| beats.iter().any(|beat| frames.contains(beat));
+        let (has_music, has_dance) = (within(music), within(dance));
         let good = match self {
             Self::Paper => has_dance || !has_music,
             Self::Reference => has_dance && has_music,
             Self::Align => {
-                let beats = of_music.len() + of_dance.len();
-                let sum = of_music.len() as f64 * beat_nearness(of_music, dance)
-                    + of_dance.len() as f64 * beat_nearness(of_dance, music);
-                return 2.0 * sum / beats.max(1) as f64 - f64::from(u8::from(beats > 0));
+                let meeting = beat_meeting(music, dance, frames);
+                return meeting.map_or(0.0, |meeting| 2.0 * meeting - 1.0);
             }
         };
         if good { 1.0 } else { -1.0 }
     }
-}
-
-/// Those of ascending beats that lie within `frames`.
-fn within<'a>(beats: &'a [usize], frames: &Range<usize>) -> &'a [usize] {
-    let place = |frame: usize| beats.partition_point(|&beat| beat < frame);
-    &beats[place(frames.start)..place(frames.end)]
 }
 
 /// Eq. 14: the smallest product of the halves' facings over the frames where it is negative, else 1.
