@@ -73,6 +73,11 @@ class Song:
         for i, sample in enumerate(sound[: max(len(self.samples) - start, 0)], start):
             self.samples[i] += gain * sample
 
+    def drum(self, bar, drums, noise):
+        for sound, places in drums.items():
+            for place in places:
+                self.add(bar, place, sound(noise))
+
     def write(self, path):
         loudest = max(abs(sample) for sample in self.samples)
         pcm = array.array("h", (round(28000 * sample / loudest) for sample in self.samples))
@@ -90,9 +95,7 @@ def hip_hop():
     drums = {kick: (0, 7, 10), snare: (4, 12), hat: (0, 2, 4, 6, 8, 10, 12, 14, 15)}
     chords = [(57, 60, 64), (53, 57, 60), (50, 53, 57), (52, 56, 59)]
     for bar in range(song.bars):
-        for drum, places in drums.items():
-            for place in places:
-                song.add(bar, place, drum(noise))
+        song.drum(bar, drums, noise)
         chord = chords[bar % 4]
         for place in (0, 7, 10):
             song.add(bar, place, tone(chord[0] - 24, 0.5, 0.25, (0.5, 0.1)))
@@ -124,9 +127,7 @@ def drum_and_bass():
     drums = {kick: (0, 10), snare: (4, 12), hat: (0, 2, 4, 6, 7, 8, 10, 12, 14)}
     roots = (38, 38, 34, 36)
     for bar in range(song.bars):
-        for drum, places in drums.items():
-            for place in places:
-                song.add(bar, place, drum(noise))
+        song.drum(bar, drums, noise)
         root = roots[bar // 2 % 4]
         for place in (0, 3, 6, 10):
             song.add(bar, place, tone(root, 0.35, 0.2, (0.5, 0.25, 0.15)))

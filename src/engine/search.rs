@@ -11,7 +11,7 @@ use crate::{
     Result,
     format::Codes,
     model::{Decoder, Gpt, Manifest},
-    motion::{SLOW, beat_meeting, dance_beats, joint_speed},
+    motion::{beat_meeting, dance_beats, joint_speed, slow_share},
 };
 
 /// Codes that are chosen at once: about two seconds, a bar or so.
@@ -115,32 +115,14 @@ impl Search<'_> {
         let beats = dance_beats(&speed).into_iter();
         let dance: Vec<usize> = beats.map(|frame| first * per_code + frame).collect();
         let judged = from * per_code..to * per_code;
-        let slow = SLOW / f64::from(self.manifest.fps);
-        let judged_speed = speed
-            .get(judged.start - first * per_code..)
-            .unwrap_or_default();
+        let judged_speed: Vec<f64> = speed
+            .into_iter()
+            .skip(judged.start - first * per_code)
+            .take(judged.len())
+            .collect();
         Ok(Verdict {
-            slow: share_below(slow, judged_speed, judged.len()),
+            slow: slow_share(&judged_speed, f64::from(self.manifest.fps)),
             meeting: beat_meeting(self.beats, &dance, judged).unwrap_or(0.0),
         })
-    }
-}
-
-/// Share of the first `count` values that are less than `limit`.
-fn share_below(limit: f64, values: &[f64], count: usize) -> f64 {
-    let values = values.get(..count).unwrap_or(values);
-    let below = values.iter().filter(|&&value| value < limit).count();
-    below as f64 / values.len().max(1) as f64
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_share_is_of_the_first_values() {
-        assert_eq!(share_below(0.5, &[0.1, 0.9, 0.2, 0.0], 2), 0.5);
-        assert_eq!(share_below(0.5, &[0.1, 0.9], 5), 0.5);
-        assert_eq!(share_below(0.5, &[], 5), 0.0);
     }
 }

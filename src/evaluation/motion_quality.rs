@@ -7,7 +7,7 @@ use super::{
         joint::{LEFT_TOES, RIGHT_TOES},
     },
 };
-use crate::motion::{SLOW, dance_beats};
+use crate::motion::{dance_beats, slow_share};
 
 /// Speeds per window that is looked at for freezing: five seconds.
 const WINDOW: usize = 300;
@@ -51,7 +51,7 @@ impl MotionQuality {
             foot_skate: 0.5 * (foot_skate(poses, LEFT_TOES) + foot_skate(poses, RIGHT_TOES)),
             jerk: jerk(poses),
             mean_speed: speed.iter().sum::<f64>() / steps * FRAMES_PER_SECOND,
-            slow_frames: slow_share(&speed),
+            slow_frames: slow_share(&speed, FRAMES_PER_SECOND),
             windows: windows.len(),
             sluggish_windows: windows.iter().filter(|&&share| share >= SLUGGISH).count(),
             slowest_window: windows.iter().copied().fold(0.0, f64::max),
@@ -60,22 +60,15 @@ impl MotionQuality {
     }
 }
 
-fn slow_share(speed: &[f64]) -> f64 {
-    let slow = speed
-        .iter()
-        .filter(|&&step| step * FRAMES_PER_SECOND < SLOW)
-        .count();
-    slow as f64 / speed.len().max(1) as f64
-}
-
 fn slow_shares_of_windows(speed: &[f64]) -> Vec<f64> {
+    let share = |window: &[f64]| slow_share(window, FRAMES_PER_SECOND);
     if speed.len() < WINDOW {
-        return vec![slow_share(speed)];
+        return vec![share(speed)];
     }
     speed
         .windows(WINDOW)
         .step_by(WINDOW_HOP)
-        .map(slow_share)
+        .map(share)
         .collect()
 }
 

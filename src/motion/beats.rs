@@ -5,7 +5,7 @@ use std::ops::Range;
 use ndarray::ArrayView2;
 
 /// A mean speed of the joints below this is slow, m/s (METRICS.md).
-pub const SLOW: f64 = 0.15;
+const SLOW: f64 = 0.15;
 /// Deviation of the smoothing of the speed, in frames.
 const SMOOTHING: f64 = 5.0;
 /// Reach of the smoothing: four deviations.
@@ -37,6 +37,16 @@ pub fn joint_speed(motion: ArrayView2<'_, f32>) -> Vec<f64> {
             (0..joints).map(moved).sum::<f64>() / joints.max(1) as f64
         })
         .collect()
+}
+
+/// Share of the frames whose mean speed of the joints, metres per frame, is below 0.15 m/s.
+#[must_use]
+pub fn slow_share(speed: &[f64], frames_per_second: f64) -> f64 {
+    let slow = speed
+        .iter()
+        .filter(|&&step| step * frames_per_second < SLOW)
+        .count();
+    slow as f64 / speed.len().max(1) as f64
 }
 
 /// Strict local minima of the smoothed speed; never its ends.
@@ -163,6 +173,13 @@ mod tests {
         assert_eq!(dance_beats(&speed), [30, 90, 150, 210, 270]);
         assert!(dance_beats(&[1.0; 50]).is_empty());
         assert!(dance_beats(&[]).is_empty());
+    }
+
+    #[test]
+    fn a_share_is_slow() {
+        let speed = [0.1, 0.16, 0.0, 0.2].map(|metres_per_second| metres_per_second / 60.0);
+        assert_eq!(slow_share(&speed, 60.0), 0.5);
+        assert_eq!(slow_share(&[], 60.0), 0.0);
     }
 
     #[test]
