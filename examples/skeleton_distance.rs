@@ -13,7 +13,7 @@ use anyhow::{Context, Result};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
-    engine::{Choreographer, EngineConfig, GenerationOptions},
+    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
     format::Dance,
     motion::forward,
 };
@@ -26,6 +26,7 @@ fn main() -> Result<()> {
     let choreographer = Choreographer::open(&EngineConfig {
         model_dir: PathBuf::from("models/default"),
         threads: 2,
+        batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
     })?;

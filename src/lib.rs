@@ -4,9 +4,10 @@
 //! One direction: [`audio`] (bytes to PCM) → [`features`] (PCM to 438 columns) → [`model`] (the
 //! only module that knows ONNX Runtime) → [`motion`] (skeleton, kinematics) → [`mod@format`] (JSON,
 //! BVH). [`engine`] schedules a generation, [`server`] is HTTP only, [`evaluation`] measures dances,
-//! [`codebook`] shows what a model's codes look like.
+//! [`codebook`] shows what a model's codes look like, [`bench`] how fast all of this is.
 
 pub mod audio;
+pub mod bench;
 pub mod cancel;
 pub mod codebook;
 mod dsp;

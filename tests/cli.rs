@@ -18,6 +18,8 @@ use bailando::model::{Manifest, ModelDirectory};
 use ndarray::{Array2, Array3};
 
 const SONG: &str = "tests/fixtures/audio/demo.ogg";
+/// Eight seconds.
+const WAV: &str = "tests/fixtures/audio/demo_44k1_8s.wav";
 
 fn bailando(arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
@@ -71,10 +73,70 @@ fn help_is_the_reference() {
         "features",
         "evaluate",
         "codebook",
+        "bench",
         "healthcheck",
     ] {
         insta::assert_snapshot!(format!("help_{command}"), succeed(&[command, "--help"]));
     }
+}
+
+/// A bench of the shortest kind: every figure is there, none is judged.
+#[test]
+fn a_bench_measures_every_part() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = |name: &str| path(folder.path(), name);
+    let ((_, json), (_, plot), (_, baseline)) =
+        (file("b.json"), file("b.svg"), file("baseline.json"));
+    let times = r#"{"stages": {"features_3840": 1000.0}, "code_s": {"1": 2000.0}}"#;
+    std::fs::write(&baseline, times).expect("a file");
+    let arguments = [
+        "bench",
+        WAV,
+        "--threads",
+        "1",
+        "--repeats",
+        "1",
+        "--lengths",
+        "3,6",
+        "--callers",
+        "2",
+        "--batch-codes",
+        "9",
+        "--baseline",
+        &baseline,
+        "--json",
+        &json,
+        "--plot",
+        &plot,
+    ];
+    let table = succeed(&arguments);
+    assert!(table.contains("x faster than 1000.00 s"), "{table}");
+    assert!(table.contains("x faster than 2000000.00"), "{table}");
+    let text = std::fs::read_to_string(&json).expect("figures");
+    let figures: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let positive = |place: &str| {
+        let found = figures.pointer(place).and_then(serde_json::Value::as_f64);
+        assert!(found.is_some_and(|value| value > 0.0), "{place}: {found:?}");
+    };
+    for place in [
+        "/start_s",
+        "/stages/0/seconds",
+        "/steps/0/floor_s",
+        "/steps/0/steps/4/seconds",
+        "/steps/0/prime_s",
+        "/steps/0/code_s",
+        "/throughput/one_after_another_s",
+        "/throughput/at_once_s",
+        "/load/0/p95_s",
+        "/lengths/1/elapsed_s",
+    ] {
+        positive(place);
+    }
+    assert_eq!(figures["throughput"]["same_codes"], true);
+    // 46 rows of eight frames.
+    assert_eq!(figures["lengths"][1]["frames"], 368);
+    let svg = std::fs::read_to_string(&plot).expect("a plot");
+    assert!(svg.contains("seconds of music"), "{svg}");
 }
 
 #[test]
@@ -83,7 +145,9 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
     let (_, json) = path(folder.path(), "dance.json");
     let (_, glb) = path(folder.path(), "dance.glb");
     let (_, lost) = path(folder.path(), "no/such/folder/dance.json");
-    let usage: [&[&str]; 11] = [
+    let usage: [&[&str]; 13] = [
+        &["bench", SONG, "--threads", "0"],
+        &["bench", SONG, "--lengths", "-3"],
         &["codebook"],
         &["codebook", "-o", &lost, "--sort", "uses"],
         &["codebook", "-o", &lost, "--columns", "0"],

@@ -17,7 +17,7 @@ use std::{collections::HashSet, path::Path, sync::OnceLock};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
-    engine::{Choreographer, EngineConfig, GenerationOptions},
+    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
     evaluation::{Motion, speed},
     format::{BvhUnit, Dance, JsonOptions, OutputFormat},
     motion::{Positions, beat_nearness, dance_beats, forward, lower_foot_heights},
@@ -34,6 +34,7 @@ fn choreographer() -> &'static Choreographer {
         Choreographer::open(&EngineConfig {
             model_dir: Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default"),
             threads: 2,
+            batch: DEFAULT_BATCH.get(),
             queue: 8,
             audio: AudioLimits::default(),
         })

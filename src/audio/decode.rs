@@ -1,6 +1,8 @@
 //! The packet loop: decode, mix to mono, cut, resample, count; nothing of a song is kept but the
 //! resampled outputs.
 
+use std::thread;
+
 use symphonia::core::errors::Error as SymphoniaError;
 
 use super::{
@@ -189,7 +191,49 @@ struct Sink<'job> {
     /// Decoded frames, with the encoder's lead-in and padding.
     received: u64,
     window: Window,
-    outputs: Vec<(Resampler, Vec<f32>)>,
+    outputs: Outputs,
+}
+
+/// One resampler per rate, and what it has given so far. They work side by side, a block of samples at a
+/// time.
+struct Outputs {
+    signals: Vec<(Resampler, Vec<f32>)>,
+    block: Vec<f32>,
+}
+
+impl Outputs {
+    /// About a second: long beside the start of a thread.
+    const BLOCK: usize = 1 << 15;
+
+    fn push(&mut self, samples: &[f32]) {
+        self.block.extend_from_slice(samples);
+        if self.block.len() >= Self::BLOCK {
+            self.resample();
+        }
+    }
+
+    fn resample(&mut self) {
+        let block = self.block.as_slice();
+        thread::scope(|scope| {
+            let Some(((first, signal), others)) = self.signals.split_first_mut() else {
+                return;
+            };
+            for (resampler, signal) in others {
+                scope.spawn(|| resampler.process(block, signal));
+            }
+            first.process(block, signal);
+        });
+        self.block.clear();
+    }
+
+    fn finish(mut self) -> Vec<Vec<f32>> {
+        self.resample();
+        let finish = |(resampler, mut signal): (Resampler, Vec<f32>)| {
+            resampler.finish(&mut signal);
+            signal
+        };
+        self.signals.into_iter().map(finish).collect()
+    }
 }
 
 /// The wanted part in frames of the upload.
@@ -237,7 +281,10 @@ impl<'job> Sink<'job> {
             channels,
             received: 0,
             window,
-            outputs: job.rates.iter().map(plan).collect(),
+            outputs: Outputs {
+                signals: job.rates.iter().map(plan).collect(),
+                block: Vec::new(),
+            },
         }
     }
 
@@ -314,12 +361,8 @@ impl<'job> Sink<'job> {
                 min_seconds: self.job.limits.min_seconds,
             });
         }
-        let finish = |(resampler, mut signal): (Resampler, Vec<f32>)| {
-            resampler.finish(&mut signal);
-            signal
-        };
         Ok(DecodedAudio {
-            signals: self.outputs.into_iter().map(finish).collect(),
+            signals: self.outputs.finish(),
             duration_s,
             sample_rate: self.rate,
             channels: self.channels,
@@ -329,14 +372,8 @@ impl<'job> Sink<'job> {
 }
 
 /// Resamples the wanted part of what is heard.
-fn use_part(window: &mut Window, outputs: &mut [(Resampler, Vec<f32>)], heard: &[f32]) {
-    let wanted = &heard[window.advance(heard.len())];
-    if wanted.is_empty() {
-        return;
-    }
-    for (resampler, signal) in outputs {
-        resampler.process(wanted, signal);
-    }
+fn use_part(window: &mut Window, outputs: &mut Outputs, heard: &[f32]) {
+    outputs.push(&heard[window.advance(heard.len())]);
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use anyhow::Context;
 use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange},
-    engine::{Choreographer, EngineConfig, GenerationOptions},
+    engine::{Choreographer, EngineConfig, GenerationOptions, MAX_CANDIDATES},
     format::{Codes, Dance},
     model::WindowKind,
     motion,
@@ -158,6 +158,8 @@ impl GenerateArgs {
         Ok(Choreographer::open(&EngineConfig {
             model_dir: self.model_dir.clone(),
             threads: self.threads.map_or_else(cores, NonZeroUsize::get),
+            // Whatever the options allow.
+            batch: 2 * MAX_CANDIDATES,
             queue,
             audio: AudioLimits {
                 max_seconds: self.song.max_audio_seconds,

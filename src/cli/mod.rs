@@ -1,5 +1,6 @@
 //! The command line: parse, call, print.
 
+mod bench;
 mod codebook;
 mod evaluate;
 mod features;
@@ -40,6 +41,8 @@ enum Command {
     Evaluate(Box<evaluate::EvaluateArgs>),
     /// Draw what each pose code of a model looks like: a sheet per half body, and numbers
     Codebook(codebook::CodebookArgs),
+    /// Measure how fast a model is on this machine: stages, steps, many dances at once, long songs
+    Bench(bench::BenchArgs),
     /// Ask a running server whether it is alive; for container probes
     Healthcheck(healthcheck::HealthcheckArgs),
 }
@@ -57,6 +60,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Features(args) => features::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Codebook(args) => codebook::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Healthcheck(args) => healthcheck::run(&args),
     };
     match result {

@@ -1,8 +1,11 @@
 //! Audio in, dance out: the one path that the server and the command line share.
 
 use std::{
+    num::NonZeroUsize,
+    panic,
     path::PathBuf,
     sync::{Arc, Mutex, PoisonError},
+    thread,
     time::{Duration, Instant},
 };
 
@@ -24,6 +27,9 @@ use crate::{
     motion::{self, FinishOptions},
 };
 
+/// Dances that share a step where nobody says otherwise: beyond it steps take longer in proportion.
+pub const DEFAULT_BATCH: NonZeroUsize = NonZeroUsize::MIN.saturating_add(15);
+
 /// What a [`Choreographer`] needs to start.
 #[derive(Clone, Debug)]
 pub struct EngineConfig {
@@ -31,7 +37,10 @@ pub struct EngineConfig {
     pub model_dir: PathBuf,
     /// Threads that ONNX Runtime computes one step with.
     pub threads: usize,
-    /// Generations that may wait for the model.
+    /// Dances that share a step of the model, candidates counted; twice as many generations are begun at
+    /// once at most.
+    pub batch: usize,
+    /// Generations that may wait for the model before they begin.
     pub queue: usize,
     /// What an upload may ask of the decoder.
     pub audio: AudioLimits,
@@ -47,6 +56,7 @@ pub struct Choreographer {
 struct Shared {
     directory: ModelDirectory,
     worker: Worker,
+    batch: usize,
     limits: AudioLimits,
     conditioning: ExtractorPool,
     beats: ExtractorPool,
@@ -75,12 +85,19 @@ impl Choreographer {
     /// [`crate::model::ModelError`] says which file of the directory is wrong and why.
     pub fn open(config: &EngineConfig) -> Result<Self> {
         let directory = ModelDirectory::open(&config.model_dir)?;
-        let worker = Worker::start(directory.clone(), config.threads.max(1), config.queue)?;
+        GenerationOptions::default().check(directory.manifest(), config.batch)?;
+        let worker = Worker::start(
+            directory.clone(),
+            config.threads.max(1),
+            config.batch,
+            config.queue,
+        )?;
         let profile = directory.manifest().features.profile;
         Ok(Self {
             shared: Arc::new(Shared {
                 directory,
                 worker,
+                batch: config.batch,
                 limits: config.audio.clone(),
                 conditioning: ExtractorPool::new(Rate::Conditioning, profile),
                 // Beats for people are those of the current profile, whatever the model hears.
@@ -112,7 +129,7 @@ impl Choreographer {
     /// # Errors
     /// [`EngineError::Option`] names the first option that does not fit.
     pub fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
-        options.check(self.manifest())
+        options.check(self.manifest(), self.shared.batch)
     }
 
     /// Generates one dance. Blocks: decoding and features run on the calling thread, the model on
@@ -271,22 +288,29 @@ impl Choreographer {
     ) -> Result<Listened> {
         let signal = |index: usize| heard.signals.get(index).map_or(&[][..], Vec::as_slice);
         check_cancelled(cancel)?;
-        let rows = self
-            .shared
-            .conditioning
-            .with(|extractor| extractor.extract(signal(0)))?;
-        check_cancelled(cancel)?;
+        let rows = || {
+            let conditioning = &self.shared.conditioning;
+            conditioning.with(|extractor| extractor.extract(signal(0)))
+        };
         if !self.wants_beats(options) {
             return Ok(Listened {
-                rows,
+                rows: rows()?,
                 beats_s: Vec::new(),
                 music: None,
             });
         }
-        let beats = self
-            .shared
-            .beats
-            .with(|extractor| extractor.beats(signal(1)))?;
+        let beats = || {
+            let beats = &self.shared.beats;
+            beats.with(|extractor| extractor.beats(signal(1)))
+        };
+        // The longer of the two on this thread; the other's panic goes on here.
+        let (rows, beats) = thread::scope(|scope| {
+            let rows = scope.spawn(rows);
+            let beats = beats();
+            (rows.join(), beats)
+        });
+        let rows = rows.unwrap_or_else(|panicked| panic::resume_unwind(panicked))?;
+        let beats = beats?;
         check_cancelled(cancel)?;
         let periods = &self.manifest().features.count_periods;
         let beats_s: Vec<f64> = beats.seconds().collect();

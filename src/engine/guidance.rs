@@ -1,8 +1,8 @@
 //! Guidance by the music: classifier-free guidance (Ho and Salimans 2022) of a GPT's next codes.
 
-use ndarray::{Array2, ArrayView2, Axis, Slice};
+use ndarray::{Array2, ArrayView1, ArrayView2, Axis, Slice};
 
-use crate::{features::COLUMNS, model::Logits};
+use crate::features::COLUMNS;
 
 /// A song without its time, and how far a dance is led away from what it would be to that.
 #[derive(Clone, Debug)]
@@ -38,18 +38,20 @@ impl Guide {
 
     /// Leads `heard` away from `unheard`: at 0 it becomes that, at 1 it stays, beyond it exaggerates
     /// what the music's time changes.
-    pub(crate) fn lead(&self, heard: &mut Logits, unheard: &Logits) {
-        let lead = |heard: &mut f32, &unheard: &f32| {
-            *heard = unheard + self.guidance * (*heard - unheard);
-        };
-        heard.upper.zip_mut_with(&unheard.upper, lead);
-        heard.lower.zip_mut_with(&unheard.lower, lead);
+    pub(crate) fn lead<'a>(
+        &self,
+        heard: ArrayView1<'a, f32>,
+        unheard: ArrayView1<'a, f32>,
+    ) -> impl Iterator<Item = f32> {
+        let guidance = self.guidance;
+        let pairs = heard.into_iter().zip(unheard);
+        pairs.map(move |(heard, unheard)| unheard + guidance * (heard - unheard))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use ndarray::array;
+    use ndarray::{array, aview1};
 
     use super::*;
 
@@ -81,20 +83,13 @@ mod tests {
 
     #[test]
     fn what_time_changes_is_exaggerated() {
-        let logits = |upper: [f32; 2], lower: [f32; 2]| Logits {
-            upper: array![upper],
-            lower: array![lower],
-        };
-        let unheard = logits([1.0, 0.0], [0.0, 0.0]);
         for (guidance, wanted) in [(0.0, [1.0, 0.0]), (1.0, [1.0, 2.0]), (3.0, [1.0, 6.0])] {
             let guide = Guide {
                 guidance,
                 timeless: array![[0.0]],
             };
-            let mut heard = logits([1.0, 2.0], [-1.0, 1.0]);
-            guide.lead(&mut heard, &unheard);
-            assert_eq!(heard.upper, array![wanted]);
-            assert_eq!(heard.lower, array![[-guidance, guidance]]);
+            let led = guide.lead(aview1(&[1.0, 2.0]), aview1(&[1.0, 0.0]));
+            assert_eq!(led.collect::<Vec<_>>(), wanted);
         }
     }
 }

@@ -1,10 +1,12 @@
 //! The generation loop and its schedule; knows no HTTP.
 
+mod batch;
 mod choreographer;
+mod chunks;
 mod error;
-mod generator;
 mod guidance;
 mod options;
+mod piece;
 mod progress;
 mod queue;
 mod sampler;
@@ -14,7 +16,7 @@ mod window;
 mod worker;
 
 pub use crate::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE};
-pub use choreographer::{Choreographer, EngineConfig, RawDance};
+pub use choreographer::{Choreographer, DEFAULT_BATCH, EngineConfig, RawDance};
 pub use error::EngineError;
 pub use options::GenerationOptions;
 pub use progress::{Progress, Stage};

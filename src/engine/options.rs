@@ -1,6 +1,6 @@
 //! What a caller may choose about a generation.
 
-use super::{EngineError, MAX_SEED};
+use super::{EngineError, MAX_SEED, worker::branches};
 use crate::{
     audio::AudioRange,
     model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, WindowKind},
@@ -61,11 +61,11 @@ impl Default for GenerationOptions {
 }
 
 impl GenerationOptions {
-    /// Checks every option against the model of `manifest`.
+    /// Checks every option against the model of `manifest`, of which `batch` dances share a step.
     ///
     /// # Errors
     /// [`EngineError::Option`] names the first option that does not fit, and what does.
-    pub fn check(&self, manifest: &Manifest) -> Result<(), EngineError> {
+    pub fn check(&self, manifest: &Manifest, batch: usize) -> Result<(), EngineError> {
         let refuse = |name, problem| Err(EngineError::Option { name, problem });
         if let Some(seed) = self.seed.filter(|&seed| seed > MAX_SEED) {
             return refuse(
@@ -89,6 +89,20 @@ impl GenerationOptions {
             );
         }
         check_between("candidates", self.candidates, 1, MAX_CANDIDATES)?;
+        let defaults = manifest.sampling;
+        let candidates = self.candidates.unwrap_or(defaults.candidates);
+        let branches = branches(self.guidance.unwrap_or(defaults.guidance));
+        if candidates * branches > batch {
+            let twice = if branches > 1 {
+                ", twice as they are guided,"
+            } else {
+                ""
+            };
+            return refuse(
+                "candidates",
+                format!("{candidates}{twice} do not fit into the batch of {batch}"),
+            );
+        }
         let vocabulary = manifest.vocabulary;
         check_between(
             "top_k",

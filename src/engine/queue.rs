@@ -82,6 +82,11 @@ impl<T> Queue<T> {
         }
     }
 
+    /// Takes the first out, if one waits.
+    pub(crate) fn try_pop(&self) -> Option<T> {
+        self.state().waiting.pop_front().map(|(_, item)| item)
+    }
+
     /// Takes the item with this number out, if it still waits.
     pub(crate) fn remove(&self, number: u64) -> Option<T> {
         let mut state = self.state();
@@ -129,8 +134,8 @@ mod tests {
         queue.close();
         assert_eq!(queue.push('d'), Err(Refused::Closed));
         assert_eq!(
-            (queue.pop(), queue.pop(), queue.pop()),
-            (Some('b'), Some('c'), None)
+            (queue.pop(), queue.try_pop(), queue.try_pop(), queue.pop()),
+            (Some('b'), Some('c'), None, None)
         );
     }
 

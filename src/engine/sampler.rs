@@ -18,7 +18,7 @@ pub(crate) struct Sampling {
 }
 
 /// The one generator of a request, and the rule that turns its numbers into codes.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Sampler {
     sampling: Sampling,
     generator: ChaCha8Rng,
@@ -34,6 +34,13 @@ impl Sampler {
             generator,
             candidates: Vec::new(),
         }
+    }
+
+    /// One that draws other numbers of the same seed: those of a stream, which 0 is the first of.
+    pub(crate) fn stream(&self, number: u64) -> Self {
+        let mut other = self.clone();
+        other.generator.set_stream(number);
+        other
     }
 
     /// One of `0..count`, uniformly; for start codes.
@@ -134,6 +141,20 @@ mod tests {
         for _ in 0..500 {
             assert!([1, 3].contains(&sampler.next([0.0, 5.0, 1.0, 4.0].into_iter())));
         }
+    }
+
+    #[test]
+    fn streams_of_a_seed_differ_and_repeat_themselves() {
+        let seeded = sampler(1.0, None, 5);
+        let draw = |stream: u64| {
+            let mut sampler = seeded.stream(stream);
+            (0..50)
+                .map(|_| sampler.next([0.1, 0.2, 0.3, 0.4].into_iter()))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(draw(1), draw(1));
+        assert_ne!(draw(1), draw(2));
+        assert_ne!(draw(1), draw(0));
     }
 
     #[test]

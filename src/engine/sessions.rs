@@ -1,36 +1,34 @@
-//! The loaded model: proves at start that it fits its manifest, and works on one job at a time.
+//! The loaded model, which proves at start that it fits its manifest.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Duration};
 
+use crossbeam_channel::bounded;
 use ndarray::Array2;
 
 use super::{
-    error::of_model,
-    generator::{CHUNK_CODES, Request, decode_codes, generate_codes},
-    guidance::Guide,
-    progress::Stage,
-    sampler::{Sampler, Sampling},
-    search::Search,
+    EngineError,
+    batch::{Batch, Reply},
+    chunks::{CHUNK_CODES, Chunks},
+    sampler::Sampling,
     window::Window,
-    worker::{Job, Outcome},
+    worker::Job,
 };
 use crate::{
     CancelToken, Error, Result,
     format::Codes,
-    model::{Decoder, Gpt, Manifest, ModelDirectory, ModelError, Steps, Vocabulary, WindowKind},
+    model::{Decoder, Gpt, ModelDirectory, ModelError, Steps, Vocabulary, WindowKind},
 };
 
+/// Bytes of a GPT below which its steps have one thread.
+const ALONE_BELOW: u64 = 8 << 20;
 /// Largest difference, in metres, between a piece decoded in chunks and at once.
 const CHUNK_TOLERANCE: f32 = 1e-4;
 
 /// The ONNX sessions of one model directory.
 pub(crate) struct Sessions {
-    gpt: Gpt,
-    decoder: Decoder,
-    directory: ModelDirectory,
+    pub(super) gpt: Gpt,
+    pub(super) decoder: Decoder,
+    pub(super) directory: ModelDirectory,
 }
 
 impl Sessions {
@@ -38,14 +36,13 @@ impl Sessions {
     /// at start and not by a user.
     pub(crate) fn load(directory: ModelDirectory, threads: usize) -> Result<Self> {
         let mut sessions = Self {
-            gpt: directory.gpt(threads)?,
+            gpt: directory.gpt(step_threads(&directory, threads))?,
             decoder: directory.decoder(threads)?,
             directory,
         };
         sessions.directory.encoder(threads)?;
         sessions.try_whole_window()?;
         sessions.try_chunks()?;
-        sessions.try_sampling()?;
         Ok(sessions)
     }
 
@@ -91,7 +88,9 @@ impl Sessions {
         };
         let cancel = CancelToken::new();
         let whole = self.decoder.decode(&codes.upper, &codes.lower, &cancel)?;
-        let chunked = decode_codes(&mut self.decoder, &codes, manifest, &cancel)?;
+        let mut chunked = Chunks::new(count, manifest);
+        while chunked.advance(&mut self.decoder, &codes, manifest, &cancel)? {}
+        let chunked = chunked.into_motion();
         let apart = |(a, b): (&f32, &f32)| (a - b).abs();
         let worst = whole.iter().zip(&chunked).map(apart).fold(0.0, f32::max);
         if worst > CHUNK_TOLERANCE {
@@ -107,8 +106,9 @@ impl Sessions {
         Ok(())
     }
 
-    /// Two codes by the path that requests take; it also warms the step up.
-    fn try_sampling(&mut self) -> Result<()> {
+    /// A batch of at most `rows` dances, after two codes by the path that requests take; it also warms the
+    /// step up.
+    pub(crate) fn tried(self, rows: usize) -> Result<Batch> {
         let columns = self.directory.manifest().features.columns;
         let job = Job {
             music: Array2::zeros((3, columns)),
@@ -126,64 +126,24 @@ impl Sessions {
             progress: Arc::new(()),
             cancel: CancelToken::new(),
         };
-        self.run(&job, Duration::ZERO).map(drop)
-    }
-
-    /// One request's codes and motion.
-    pub(crate) fn run(&mut self, job: &Job, queued: Duration) -> Result<Outcome> {
-        let started = Instant::now();
-        let manifest = self.directory.manifest();
-        let mut sampler = Sampler::new(job.sampling, job.seed);
-        let start = start_codes(job.start, manifest, &mut sampler);
-        let guide = Guide::new(job.guidance, job.music.view());
-        let request = Request {
-            music: job.music.view(),
-            guide: guide.as_ref(),
-            start,
-            window: job.window,
-            progress: job.progress.as_ref(),
-            cancel: &job.cancel,
-        };
-        let codes = if job.has_a_choice() {
-            let mut search = Search {
-                candidates: job.candidates,
-                beats: &job.beats,
-                decoder: &mut self.decoder,
-                manifest,
-            };
-            search.generate_codes(&mut self.gpt, &mut sampler, &request)?
-        } else {
-            generate_codes(&mut self.gpt, &mut sampler, &request).map_err(of_model)?
-        };
-        job.progress.stage(Stage::Motion);
-        let decoded =
-            decode_codes(&mut self.decoder, &codes, manifest, &job.cancel).map_err(of_model)?;
-        let motion = manifest.motion_frame.into_world(decoded)?;
-        Ok(Outcome {
-            codes,
-            motion,
-            queued,
-            inference: started.elapsed(),
-        })
+        let (reply, outcome) = bounded(1);
+        let mut batch = Batch::new(self, rows);
+        batch.join(job, Reply(reply), Duration::ZERO);
+        while !batch.is_idle() {
+            batch.round();
+        }
+        outcome.recv().map_err(|_| EngineError::Stopped)??;
+        Ok(batch)
     }
 }
 
-/// The start pair: given codes win; the rest is drawn as a pair from the manifest's list, or from
-/// the whole vocabulary when it has none. Both numbers are drawn always, so that giving one half
-/// does not change the dance's other draws.
-fn start_codes(given: [Option<u32>; 2], manifest: &Manifest, sampler: &mut Sampler) -> [u32; 2] {
-    let vocabulary = manifest.vocabulary;
-    let drawn = match manifest.start_codes.as_slice() {
-        [] => [
-            sampler.uniform(vocabulary.upper) as u32,
-            sampler.uniform(vocabulary.lower) as u32,
-        ],
-        pairs => pairs
-            .get(sampler.uniform(pairs.len()))
-            .copied()
-            .unwrap_or_default(),
-    };
-    [given[0].unwrap_or(drawn[0]), given[1].unwrap_or(drawn[1])]
+/// Threads of a step: a small one is over before several threads agree (`bailando bench`).
+fn step_threads(directory: &ModelDirectory, threads: usize) -> usize {
+    let file = directory.manifest().files.get("gpt.onnx");
+    match file.is_some_and(|file| file.bytes < ALONE_BELOW) {
+        true => 1,
+        false => threads,
+    }
 }
 
 fn misfit(what: &'static str, expected: String, got: String) -> Error {

@@ -43,8 +43,13 @@ impl Window {
     }
 
     /// Index of the window's first code at `step`.
-    fn start(self, step: usize) -> usize {
+    pub(crate) fn start(self, step: usize) -> usize {
         step + 1 - self.length(step)
+    }
+
+    /// Whether the window's start moves at `step`.
+    pub(crate) fn moves_at(self, step: usize) -> bool {
+        matches!(self.at(step), WindowStep::Prime { .. })
     }
 
     /// What to do at `step`: while the window's start stays, positions do not move and the cache

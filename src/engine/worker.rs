@@ -1,18 +1,18 @@
-//! The thread that owns the ONNX sessions, behind a bounded queue.
+//! The thread that owns the ONNX sessions and all dances in the making, behind a bounded queue.
 
 use std::{
     fmt,
-    panic::{self, AssertUnwindSafe},
     sync::Arc,
     thread,
     time::{Duration, Instant},
 };
 
-use crossbeam_channel::{Sender, bounded};
+use crossbeam_channel::bounded;
 use ndarray::Array2;
 
 use super::{
     EngineError,
+    batch::{Batch, Reply},
     progress::Progress,
     queue::{Queue, Refused},
     sampler::Sampling,
@@ -51,6 +51,21 @@ impl Job {
         let differ = self.sampling.temperature > 0.0 && self.sampling.top_k != Some(1);
         self.candidates > 1 && differ && !self.beats.is_empty()
     }
+
+    /// Dances that are computed side by side for it.
+    pub(crate) fn rows(&self) -> usize {
+        let candidates = if self.has_a_choice() {
+            self.candidates
+        } else {
+            1
+        };
+        candidates * branches(self.guidance)
+    }
+}
+
+/// With and without the music's time, where a dance is guided by it.
+pub(crate) fn branches(guidance: f32) -> usize {
+    1 + usize::from(guidance != 1.0)
 }
 
 /// What the model made of a [`Job`].
@@ -68,15 +83,7 @@ pub(crate) struct Outcome {
 struct Ticket {
     job: Job,
     submitted: Instant,
-    reply: Sender<Result<Outcome>>,
-}
-
-impl Drop for Ticket {
-    /// A ticket that the model's thread did not answer is answered by its end; after an answer
-    /// nobody listens any more.
-    fn drop(&mut self) {
-        let _ = self.reply.try_send(Err(EngineError::Stopped.into()));
-    }
+    reply: Reply,
 }
 
 impl fmt::Debug for Ticket {
@@ -92,10 +99,12 @@ pub(crate) struct Worker {
 }
 
 impl Worker {
-    /// Loads the sessions on a thread of their own and returns once they are ready.
+    /// Loads the sessions on a thread of their own and returns once they are ready. At most `rows`
+    /// dances share a step, and `capacity` requests wait before they begin.
     pub(crate) fn start(
         directory: ModelDirectory,
         threads: usize,
+        rows: usize,
         capacity: usize,
     ) -> Result<Self> {
         let queue = Arc::new(Queue::new(capacity));
@@ -106,11 +115,11 @@ impl Worker {
             .spawn(move || {
                 // Whatever ends this thread, nobody waits for it any longer.
                 let guard = guard;
-                match Sessions::load(directory, threads) {
-                    Ok(mut sessions) => {
+                match Sessions::load(directory, threads).and_then(|sessions| sessions.tried(rows)) {
+                    Ok(mut batch) => {
                         // A receiver that has gone only means that nobody waits any more.
                         let _ = ready.send(Ok(()));
-                        serve(&mut sessions, &guard.0);
+                        serve(&mut batch, &guard.0);
                     }
                     Err(error) => {
                         let _ = ready.send(Err(error));
@@ -137,7 +146,7 @@ impl Worker {
         let ticket = Ticket {
             job,
             submitted: Instant::now(),
-            reply,
+            reply: Reply(reply),
         };
         let number = self.queue.push(ticket).map_err(|refused| match refused {
             Refused::Full => EngineError::QueueFull {
@@ -171,13 +180,24 @@ impl Drop for AbandonOnDrop {
     }
 }
 
-fn serve(sessions: &mut Sessions, queue: &Queue<Ticket>) {
-    while let Some(ticket) = queue.pop() {
-        let queued = ticket.submitted.elapsed();
-        // A panic costs this request only: the sessions hold no state between jobs.
-        let result = panic::catch_unwind(AssertUnwindSafe(|| sessions.run(&ticket.job, queued)))
-            .unwrap_or_else(|_| Err(EngineError::Panicked.into()));
-        // Full when the request was cancelled meanwhile: it has its answer then.
-        let _ = ticket.reply.try_send(result);
+/// Takes requests in whenever they may begin, until the queue is closed and nothing is left to do.
+fn serve(batch: &mut Batch, queue: &Queue<Ticket>) {
+    loop {
+        while batch.has_place() {
+            let ticket = match batch.is_idle() {
+                true => queue.pop(),
+                false => queue.try_pop(),
+            };
+            match ticket {
+                Some(Ticket {
+                    job,
+                    submitted,
+                    reply,
+                }) => batch.join(job, reply, submitted.elapsed()),
+                None if batch.is_idle() => return,
+                None => break,
+            }
+        }
+        batch.round();
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use ndarray::{Array2, Array4, ArrayView2};
+use ndarray::{Array2, Array4, ArrayView1, ArrayView2, Axis};
 use ort::{
     memory::Allocator,
     session::SessionInputValue,
@@ -11,13 +11,14 @@ use ort::{
 
 use super::{
     Manifest, ModelError,
-    session::{Graph, Inputs, floats, integers, take, take_matrix, tensor},
+    memory::{GptMemory, RowShape, STREAMS},
+    session::{
+        Graph, Inputs, floats, integer_columns, integers, take, take_matrices, take_matrix, tensor,
+    },
 };
 use crate::CancelToken;
 
 const GRAPH: &str = "gpt.onnx";
-/// Streams that attend to each other: music, upper, lower.
-const STREAMS: usize = 3;
 /// Added to the scores of hidden tokens; exp of it is 0 in float32, and sums stay finite.
 const HIDDEN: f32 = -1e9;
 
@@ -29,6 +30,7 @@ pub struct Gpt {
     heads: usize,
     head_size: usize,
     block: usize,
+    context: usize,
     columns: usize,
 }
 
@@ -56,6 +58,17 @@ pub struct Steps<'a> {
     pub lower: &'a [u32],
     /// The music rows beside them `[steps, columns]`.
     pub music: ArrayView2<'a, f32>,
+}
+
+/// The newest step of a dance.
+#[derive(Clone, Copy, Debug)]
+pub struct NextStep<'a> {
+    /// Upper code.
+    pub upper: u32,
+    /// Lower code.
+    pub lower: u32,
+    /// The music row beside them `[columns]`.
+    pub music: ArrayView1<'a, f32>,
 }
 
 /// Unnormalised log-probabilities of the next codes, per step.
@@ -93,7 +106,8 @@ impl Gpt {
     /// # Errors
     /// [`ModelError::Graph`], [`ModelError::Mismatch`] or [`ModelError::Runtime`].
     pub fn open(path: &Path, manifest: &Manifest, threads: usize) -> Result<Self, ModelError> {
-        let graph = Graph::open(GRAPH, path, threads)?;
+        // Steps have one shape for a number of dances, primes one for a number of steps.
+        let graph = Graph::open(GRAPH, path, threads, true)?;
         let spec = manifest.gpt;
         let names = CacheNames::new(spec.layers);
         let mut inputs: Vec<String> = ["upper", "lower", "music", "positions", "attention_bias"]
@@ -112,6 +126,7 @@ impl Gpt {
             heads: spec.heads,
             head_size: spec.channels / spec.heads.max(1),
             block: spec.block,
+            context: spec.context,
             columns: manifest.features.columns,
         })
     }
@@ -181,6 +196,126 @@ impl Gpt {
         Ok((logits, KvCache { layers, steps }))
     }
 
+    /// Memory for dances side by side, `rows` at most.
+    #[must_use]
+    pub fn memory(&self, rows: usize) -> GptMemory {
+        let shape = RowShape {
+            heads: self.heads,
+            // The newest step of a whole window is not remembered: the window moves next.
+            steps: self.context.saturating_sub(1).max(1),
+            head_size: self.head_size,
+        };
+        GptMemory::new(rows, self.names.past.len(), shape)
+    }
+
+    /// Makes a row of `memory` remember `steps`, from position 0 on, and nothing else.
+    ///
+    /// # Errors
+    /// As [`Gpt::run_after`]; also for more steps than a row remembers. The row is forgotten then.
+    pub fn prime(
+        &mut self,
+        memory: &mut GptMemory,
+        row: usize,
+        steps: Steps<'_>,
+        cancel: &CancelToken,
+    ) -> Result<(), ModelError> {
+        memory.forget(row);
+        let count = steps.upper.len();
+        if row >= memory.rows() || count > memory.shape().steps {
+            return Err(ModelError::Input {
+                what: "GPT memory",
+                expected: format!("{} rows of {} steps", memory.rows(), memory.shape().steps),
+                got: format!("{count} steps for row {row}"),
+            });
+        }
+        let (_, cache) = self.run_after(steps, &self.empty_cache()?, cancel)?;
+        let layers = cache.layers.into_iter();
+        let layers: Vec<_> = layers.map(|(key, value)| [key, value]).collect();
+        memory.append(GRAPH, row..row + 1, count, &layers)
+    }
+
+    /// One step more of each dance in the first rows of `memory`, which then remember it as well, and the
+    /// logits that follow, a row each: the same as if each were alone. Not interruptible, as it serves
+    /// many.
+    ///
+    /// # Errors
+    /// [`ModelError::Input`] when there are more dances than rows, or music of another width;
+    /// [`ModelError::Run`]. Memory is unchanged then.
+    pub fn step(
+        &mut self,
+        memory: &mut GptMemory,
+        next: &[NextStep<'_>],
+    ) -> Result<Logits, ModelError> {
+        let dances = next.len();
+        let fits = next.iter().all(|step| step.music.len() == self.columns);
+        if dances == 0 || dances > memory.rows() || !fits {
+            return Err(ModelError::Input {
+                what: "GPT steps",
+                expected: format!(
+                    "1 to {} beside music of {} columns",
+                    memory.rows(),
+                    self.columns
+                ),
+                got: format!("{dances}, or music of another width"),
+            });
+        }
+        let inputs = self.next_inputs(memory, next)?;
+        let present = &self.names.present;
+        let (logits, layers) = self.graph.run(inputs, &CancelToken::new(), |outputs| {
+            let newest = |outputs: &mut _, name| -> Result<Array2<f32>, ModelError> {
+                let logits = take_matrices(GRAPH, outputs, name, [dances, 1])?;
+                Ok(logits.index_axis_move(Axis(1), 0))
+            };
+            let logits = Logits {
+                upper: newest(outputs, "upper_logits")?,
+                lower: newest(outputs, "lower_logits")?,
+            };
+            let layers = present
+                .iter()
+                .map(|(key, value)| Ok([take(GRAPH, outputs, key)?, take(GRAPH, outputs, value)?]))
+                .collect::<Result<Vec<_>, ModelError>>()?;
+            Ok((logits, layers))
+        })?;
+        memory.append(GRAPH, 0..dances, 1, &layers)?;
+        Ok(logits)
+    }
+
+    fn next_inputs<'memory>(
+        &self,
+        memory: &'memory GptMemory,
+        next: &[NextStep<'_>],
+    ) -> Result<Inputs<'memory>, ModelError> {
+        let column = |number: &dyn Fn(usize, &NextStep<'_>) -> i64| {
+            let numbers = next.iter().enumerate().map(|(row, step)| number(row, step));
+            integer_columns(GRAPH, numbers.collect())
+        };
+        let music: Vec<f32> = next.iter().flat_map(|step| step.music).copied().collect();
+        let music = ort::value::Tensor::from_array(([next.len(), 1, self.columns], music));
+        let bias = next_bias(memory, next.len());
+        let mut inputs: Inputs<'memory> = vec![
+            (
+                "upper".into(),
+                column(&|_, step| i64::from(step.upper))?.into(),
+            ),
+            (
+                "lower".into(),
+                column(&|_, step| i64::from(step.lower))?.into(),
+            ),
+            ("music".into(), tensor(GRAPH, music)?.into()),
+            (
+                "positions".into(),
+                column(&|row, _| memory.steps(row) as i64)?.into(),
+            ),
+            ("attention_bias".into(), floats(GRAPH, bias.view())?.into()),
+        ];
+        let layers = memory.first(GRAPH, next.len())?;
+        for ((key_name, value_name), [key, value]) in self.names.past.iter().zip(layers) {
+            inputs.push((key_name.clone(), key.into()));
+            inputs.push((value_name.clone(), value.into()));
+        }
+        Ok(inputs)
+    }
+
     fn check(&self, steps: &Steps<'_>, cache: &KvCache) -> Result<usize, ModelError> {
         let count = steps.upper.len();
         if count == 0 || steps.lower.len() != count || steps.music.dim() != (count, self.columns) {
@@ -241,6 +376,16 @@ fn attention_bias(past: usize, count: usize) -> Array4<f32> {
             _ => 0.0,
         },
     )
+}
+
+/// Hides the slots of the first rows of `memory` that are not filled, `[rows, 1, 3, tokens]`; the newest
+/// step's tokens are the last.
+fn next_bias(memory: &GptMemory, rows: usize) -> Array4<f32> {
+    let slots = memory.shape().tokens();
+    Array4::from_shape_fn((rows, 1, STREAMS, slots + STREAMS), |(row, _, _, key)| {
+        let empty = STREAMS * memory.steps(row)..slots;
+        if empty.contains(&key) { HIDDEN } else { 0.0 }
+    })
 }
 
 #[cfg(test)]

@@ -177,6 +177,8 @@ pub enum WeightStorage {
     F32,
     /// 16-bit floats, widened when loaded.
     F16,
+    /// The GPT's matrices as 8-bit integers, all else as 16-bit floats.
+    Int8,
 }
 
 /// Size and hash of one file.

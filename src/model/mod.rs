@@ -4,17 +4,19 @@ mod directory;
 mod error;
 mod gpt;
 mod manifest;
+mod memory;
 mod runtime;
 mod session;
 mod vqvae;
 
 pub use directory::{ModelDirectory, file_sha256};
 pub use error::ModelError;
-pub use gpt::{Gpt, KvCache, Logits, Steps};
+pub use gpt::{Gpt, KvCache, Logits, NextStep, Steps};
 pub use manifest::{
     DecoderSpec, FORMAT_VERSION, FeatureSpec, FileEntry, GptSpec, MAX_CANDIDATES,
     MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, SamplingDefaults, Vocabulary,
     WeightStorage, WindowKind,
 };
+pub use memory::GptMemory;
 pub use runtime::LIBRARY_VARIABLE;
 pub use vqvae::{Decoder, Encoder};

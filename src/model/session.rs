@@ -23,21 +23,24 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Loads the graph at `path`; `name` appears in errors.
+    /// Loads the graph at `path`; `name` appears in errors. Where few shapes come again and again, their
+    /// memory is kept for the next run; else it would only grow.
     pub(super) fn open(
         name: &'static str,
         path: &Path,
         threads: usize,
+        keeps_memory: bool,
     ) -> Result<Self, ModelError> {
         let environment = runtime::environment()?;
         let build = || -> ort::Result<Session> {
             Session::builder(environment)?
                 .with_intra_threads(threads)?
                 .with_inter_threads(1)?
-                // The cache changes shape at every step: pattern and arena would only grow.
-                .with_memory_pattern(false)?
+                .with_memory_pattern(keeps_memory)?
                 .with_intra_op_spinning(false)?
-                .with_execution_providers([ep::CPU::default().with_arena_allocator(false).build()])?
+                .with_execution_providers([ep::CPU::default()
+                    .with_arena_allocator(keeps_memory)
+                    .build()])?
                 .commit_from_file(path)
         };
         let session = build().map_err(|e| ModelError::Graph {
@@ -115,6 +118,14 @@ pub(super) fn integers(
 ) -> Result<DynValue, ModelError> {
     let values: Vec<i64> = values.collect();
     tensor(graph, Tensor::from_array(([1, values.len()], values)))
+}
+
+/// A tensor of 64-bit integers, `[n, 1]`.
+pub(super) fn integer_columns(
+    graph: &'static str,
+    values: Vec<i64>,
+) -> Result<DynValue, ModelError> {
+    tensor(graph, Tensor::from_array(([values.len(), 1], values)))
 }
 
 /// A tensor of floats that owns a copy of `values`.

@@ -27,7 +27,7 @@ impl Decoder {
     /// # Errors
     /// [`ModelError::Graph`], [`ModelError::Mismatch`] or [`ModelError::Runtime`].
     pub fn open(path: &Path, manifest: &Manifest, threads: usize) -> Result<Self, ModelError> {
-        let graph = Graph::open(DECODER, path, threads)?;
+        let graph = Graph::open(DECODER, path, threads, false)?;
         graph.expect_inputs(path, &["upper".to_owned(), "lower".to_owned()])?;
         Ok(Self {
             graph,
@@ -108,7 +108,7 @@ impl Encoder {
     /// # Errors
     /// [`ModelError::Graph`], [`ModelError::Mismatch`] or [`ModelError::Runtime`].
     pub fn open(path: &Path, manifest: &Manifest, threads: usize) -> Result<Self, ModelError> {
-        let graph = Graph::open(ENCODER, path, threads)?;
+        let graph = Graph::open(ENCODER, path, threads, false)?;
         graph.expect_inputs(path, &["motion".to_owned()])?;
         Ok(Self {
             graph,

@@ -59,9 +59,10 @@ pub fn dance_beats(speed: &[f64]) -> Vec<usize> {
         .collect()
 }
 
-/// Gaussian smoothing; beyond the ends the curve is mirrored, its last value repeated
+/// A curve by frame after the Gaussian smoothing that beats are found with; beyond the ends the curve is mirrored, its last value repeated
 /// (half-sample symmetric).
-fn smoothed(curve: &[f64]) -> Vec<f64> {
+#[must_use]
+pub fn smoothed(curve: &[f64]) -> Vec<f64> {
     let length = curve.len();
     let weights: Vec<f64> = (0..=2 * RADIUS)
         .map(|at| {

@@ -21,7 +21,7 @@ mod smooth;
 mod tests;
 mod two_bones;
 
-pub use beats::{beat_meeting, beat_nearness, dance_beats, joint_speed, slow_share};
+pub use beats::{beat_meeting, beat_nearness, dance_beats, joint_speed, slow_share, smoothed};
 pub use error::MotionError;
 pub use facing::{facing_columns, facings, to_dancer_frame, to_world_frame};
 pub use finish::{FinishOptions, Finished, PositionsSource, finish};

@@ -7,7 +7,10 @@ use clap::builder::FalseyValueParser;
 use serde::{Serialize, Serializer};
 use utoipa::ToSchema;
 
-use crate::{audio::AudioLimits, engine::EngineConfig};
+use crate::{
+    audio::AudioLimits,
+    engine::{DEFAULT_BATCH, EngineConfig},
+};
 
 /// Settings of `serve`.
 #[derive(Clone, Debug, clap::Args)]
@@ -57,6 +60,7 @@ impl ServerConfig {
         EngineConfig {
             model_dir: self.model_dir.clone(),
             threads: self.threads.map_or_else(cores, NonZeroUsize::get),
+            batch: self.limits.batch.get(),
             // Only a request that holds a permit asks the model for anything.
             queue: self.limits.max_concurrent_requests.get(),
             audio: self.limits.audio(),
@@ -78,6 +82,10 @@ pub struct Limits {
     /// Requests that may wait for their turn; one more is answered 429 with Retry-After
     #[arg(long, env = "BAILANDO_QUEUE", default_value_t = Limits::default().queue)]
     pub queue: usize,
+    /// Dances that share a step of the model, each candidate counted; so much of its memory is taken
+    #[arg(long, env = "BAILANDO_BATCH", default_value_t = Limits::default().batch)]
+    #[schema(value_type = u64)]
+    pub batch: NonZeroUsize,
     /// Largest audio file; bytes, or with kB, MB, KiB, MiB
     #[arg(
         long,
@@ -191,6 +199,7 @@ impl Default for Limits {
         Self {
             max_concurrent_requests: NonZeroUsize::MIN.saturating_add(3),
             queue: 32,
+            batch: DEFAULT_BATCH,
             payload_limit: ByteSize(25_000_000),
             payload_limit_lossless: ByteSize(100_000_000),
             min_audio_seconds: audio.min_seconds,

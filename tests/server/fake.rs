@@ -12,7 +12,7 @@ use std::{
 
 use bailando::{
     CancelToken, Result,
-    engine::{EngineError, GenerationOptions},
+    engine::{DEFAULT_BATCH, EngineError, GenerationOptions},
     features::Profile,
     format::{Codes, Dance, MusicInfo, PositionsSource, Timings},
     model::{
@@ -117,7 +117,7 @@ impl Generate for Fake {
     }
 
     fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
-        options.check(&self.manifest)
+        options.check(&self.manifest, DEFAULT_BATCH.get())
     }
 
     fn generate(

@@ -1,7 +1,7 @@
 //! Writes a model directory of the published size with random weights, to measure speed and memory
 //! where the published weights are not at hand. Its dances are noise.
 //!
-//! `cargo run --release -p bailando-train --example random_model -- OUT`
+//! `cargo run --release -p bailando-train --example random_model -- OUT [f32|f16|int8]`
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -28,9 +28,15 @@ const LEVELS: usize = 3;
 const DILATIONS: [usize; 3] = [1, 3, 9];
 
 fn main() -> anyhow::Result<()> {
-    let out = std::env::args_os()
-        .nth(1)
-        .context("usage: random_model OUT")?;
+    let mut arguments = std::env::args().skip(1);
+    let usage = "usage: random_model OUT [f32|f16|int8]";
+    let out = arguments.next().context(usage)?;
+    let weights = match arguments.next().as_deref() {
+        None | Some("f32") => WeightStorage::F32,
+        Some("f16") => WeightStorage::F16,
+        Some("int8") => WeightStorage::Int8,
+        Some(_) => anyhow::bail!(usage),
+    };
     let mut noise = Noise(0x9e37_79b9_7f4a_7c15);
     let (gpt, vqvae) = (gpt(&mut noise)?, vqvae(&mut noise)?);
     let description = Description {
@@ -44,7 +50,7 @@ fn main() -> anyhow::Result<()> {
         candidates: 1,
         motion_frame: MotionFrame::World,
         root_height: 0.93,
-        weights: WeightStorage::F32,
+        weights,
         training: BTreeMap::new(),
     };
     write_model_directory(Path::new(&out), false, &gpt, &vqvae, &description)?;

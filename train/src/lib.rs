@@ -3,13 +3,15 @@
 //! [`checkpoint`] (a file to tensors) → [`weights`] (tensors to networks) → [`onnx`] (networks to
 //! graphs) → [`export`] (graphs and manifest to a model directory). [`import`] goes all the way,
 //! [`training`] makes weights of [`data`], [`encode`] sends recordings through a model, [`music_gap`]
-//! says whether it hears, [`cli`] parses and prints.
+//! says whether it hears, [`mod@compare`] what quantisation costs it, [`cli`] parses and prints.
 
 pub mod checkpoint;
 pub mod cli;
+pub mod compare;
 pub mod data;
 pub mod encode;
 pub mod export;
+mod held_out;
 pub mod import;
 pub mod music_gap;
 pub mod nn;

@@ -15,7 +15,7 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     codebook::{Catalogue, Half, Order},
-    engine::{Choreographer, EngineConfig, GenerationOptions, RawDance},
+    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions, RawDance},
     model::{Manifest, ModelDirectory},
     motion::{MotionFrame, to_world_frame},
 };
@@ -67,6 +67,7 @@ fn open(model: &Path) -> bailando::Result<Choreographer> {
     Choreographer::open(&EngineConfig {
         model_dir: model.to_owned(),
         threads: 1,
+        batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
     })

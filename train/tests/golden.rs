@@ -14,7 +14,7 @@ use std::{ops::Range, path::Path, sync::Arc};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
-    engine::{Choreographer, EngineConfig, GenerationOptions},
+    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
     model::{Gpt, KvCache, Logits, ModelDirectory, Steps, WeightStorage, WindowKind},
 };
 use common::{TOLERANCE, assert_close, codes, fixture, floats, imported, rows, shared};
@@ -375,6 +375,7 @@ fn the_engine_repeats_the_bootstrap_models_codes() {
     let engine = Choreographer::open(&EngineConfig {
         model_dir: imported.path().join("model"),
         threads: 1,
+        batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
     })

@@ -25,7 +25,7 @@ use std::{
 use bailando::{
     CancelToken,
     audio::AudioLimits,
-    engine::{Choreographer, EngineConfig, GenerationOptions},
+    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
     model::ModelDirectory,
 };
 use bailando_train::export::skeleton;
@@ -156,6 +156,7 @@ fn dances(model: &Path, song: &Path) {
     let engine = Choreographer::open(&EngineConfig {
         model_dir: model.to_owned(),
         threads: 1,
+        batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
     })

@@ -22,7 +22,9 @@ use std::{
 use bailando::{
     CancelToken, Error,
     audio::AudioLimits,
-    engine::{Choreographer, EngineConfig, EngineError, GenerationOptions, Progress},
+    engine::{
+        Choreographer, DEFAULT_BATCH, EngineConfig, EngineError, GenerationOptions, Progress,
+    },
     model::WindowKind,
     motion::integrate_root,
 };
@@ -37,6 +39,7 @@ fn open(folder: &TempDir) -> Choreographer {
     Choreographer::open(&EngineConfig {
         model_dir: folder.path().join("model"),
         threads: 1,
+        batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
     })
@@ -308,6 +311,7 @@ fn a_manifest_that_does_not_fit_its_graphs_is_refused_at_start() {
         let result = Choreographer::open(&EngineConfig {
             model_dir: folder.path().join("model"),
             threads: 1,
+            batch: DEFAULT_BATCH.get(),
             queue: 1,
             audio: AudioLimits::default(),
         });

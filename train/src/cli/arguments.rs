@@ -9,6 +9,7 @@ use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::{
+    compare::CompareOptions,
     data::{OpenOptions, Split, check::CheckOptions},
     encode::EncodeOptions,
     export::Description,
@@ -45,6 +46,7 @@ pub(super) enum Command {
     Encode(EncodeArguments),
     Generate(GenerateArguments),
     MusicGap(MusicGapArguments),
+    Compare(CompareArguments),
     CheckData(CheckArguments),
 }
 
@@ -88,6 +90,40 @@ pub(super) struct MusicGapArguments {
     /// Model directory
     #[arg(long, default_value = "models/default", value_name = "DIR")]
     model_dir: PathBuf,
+
+    /// Folder of the songs, where they are kept apart from the motions
+    #[arg(long, value_name = "DIR")]
+    audio: Option<PathBuf>,
+
+    /// Folder of music features [default: the user's cache]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+
+    /// Which recordings
+    #[arg(long, value_enum, default_value_t = SplitName::Test)]
+    split: SplitName,
+
+    /// Print JSON
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+/// Compare a quantised model with its original: equal codes and perplexity on recordings
+///
+/// Both foretell the codes of the same recordings. scripts/compare-models.sh adds what dances tell.
+#[derive(Args, Debug)]
+pub(super) struct CompareArguments {
+    /// Model directory of the original
+    #[arg(value_name = "ORIGINAL")]
+    original: PathBuf,
+
+    /// Model directory of the other; both have one VQ-VAE
+    #[arg(value_name = "MODEL")]
+    model: PathBuf,
+
+    /// Data folder of any layout, with songs
+    #[arg(value_name = "DIR")]
+    data: PathBuf,
 
     /// Folder of the songs, where they are kept apart from the motions
     #[arg(long, value_name = "DIR")]
@@ -241,7 +277,8 @@ pub(super) struct ImportArguments {
     #[arg(long, default_value_t = 0.0, value_name = "T", value_parser = temperature)]
     pub(super) temperature: f32,
 
-    /// How weights are stored: f32 exactly, f16 in half the space (they are computed with in f32)
+    /// How weights are stored: f32 exactly, f16 in half the space (they are computed with in f32), int8
+    /// with the GPT's matrices in a quarter of it (and products of 8-bit numbers)
     #[arg(long, value_enum, default_value_t = Weights::F32)]
     pub(super) weights: Weights,
 
@@ -316,6 +353,7 @@ pub(super) enum ProfileName {
 pub(super) enum Weights {
     F16,
     F32,
+    Int8,
 }
 
 fn temperature(text: &str) -> Result<f32, String> {
@@ -376,6 +414,19 @@ impl From<MusicGapArguments> for MusicGapOptions {
     }
 }
 
+impl From<CompareArguments> for CompareOptions {
+    fn from(arguments: CompareArguments) -> Self {
+        Self {
+            original: arguments.original,
+            model: arguments.model,
+            data: arguments.data,
+            audio: arguments.audio,
+            cache: arguments.cache,
+            split: arguments.split.into(),
+        }
+    }
+}
+
 impl From<EncodeArguments> for EncodeOptions {
     fn from(arguments: EncodeArguments) -> Self {
         Self {
@@ -415,6 +466,7 @@ impl From<ImportArguments> for ImportOptions {
                 weights: match arguments.weights {
                     Weights::F16 => WeightStorage::F16,
                     Weights::F32 => WeightStorage::F32,
+                    Weights::Int8 => WeightStorage::Int8,
                 },
                 training: BTreeMap::new(),
             },

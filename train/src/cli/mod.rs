@@ -3,18 +3,21 @@
 mod arguments;
 
 use std::{
+    fmt::Display,
     io::{self, Write},
     path::Path,
 };
 
 use bailando::model::Manifest;
+use serde::Serialize;
 
 pub use self::arguments::Arguments;
 use self::arguments::{
-    AdaptArguments, CheckArguments, Command, GenerateArguments, MusicGapArguments, StageArguments,
-    WholeArguments, with_cache,
+    AdaptArguments, CheckArguments, Command, GenerateArguments, StageArguments, WholeArguments,
+    with_cache,
 };
 use crate::{
+    compare::compare,
     data::check::{CheckOptions, check},
     encode::encode,
     import::{ImportOptions, import},
@@ -60,7 +63,14 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             Ok(())
         }
         Command::Generate(arguments) => generate(&arguments, output),
-        Command::MusicGap(arguments) => measure_music_gap(arguments, output),
+        Command::MusicGap(arguments) => {
+            let json = arguments.json;
+            print(&music_gap(&arguments.into())?, json, output)
+        }
+        Command::Compare(arguments) => {
+            let json = arguments.json;
+            print(&compare(&arguments.into())?, json, output)
+        }
         Command::CheckData(arguments) => check_data(arguments, output),
     }
 }
@@ -106,14 +116,16 @@ fn generate(arguments: &GenerateArguments, output: &mut impl Write) -> anyhow::R
     Ok(())
 }
 
-fn measure_music_gap(arguments: MusicGapArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let json = arguments.json;
-    let gap = music_gap(&arguments.into())?;
+fn print(
+    figures: &(impl Serialize + Display),
+    json: bool,
+    output: &mut impl Write,
+) -> anyhow::Result<()> {
     if json {
-        serde_json::to_writer_pretty(&mut *output, &gap)?;
+        serde_json::to_writer_pretty(&mut *output, figures)?;
         writeln!(output)?;
     } else {
-        write!(output, "{gap}")?;
+        write!(output, "{figures}")?;
     }
     Ok(())
 }

@@ -5,7 +5,9 @@ use burn_tensor::{Int, Tensor as Device, backend::Backend};
 use super::{
     kernels::Kernels,
     parameters::{Parameters, Slot, Store},
-    transformer::{Attention, BlockNet, LinearNet, NormNet, STREAMS, View, drop, multiplied},
+    transformer::{
+        Attention, BlockNet, KeysAndValues, LinearNet, NormNet, STREAMS, View, drop, multiplied,
+    },
 };
 use crate::{Tensor, weights::GptWeights};
 
@@ -16,6 +18,27 @@ pub struct Logits<B: Backend> {
     pub upper: Device<B, 3>,
     /// Lower half.
     pub lower: Device<B, 3>,
+}
+
+/// What the network remembers of pieces that it extends step by step.
+#[derive(Clone, Debug)]
+pub struct Memory<B: Backend> {
+    blocks: Vec<Option<KeysAndValues<B>>>,
+    steps: usize,
+}
+
+impl<B: Backend> Memory<B> {
+    /// Goes on with some of the pieces.
+    #[must_use]
+    pub fn of(self, pieces: &Device<B, 1, Int>) -> Self {
+        let blocks = self.blocks.into_iter();
+        Self {
+            blocks: blocks
+                .map(|block| block.map(|known| known.of(pieces.clone())))
+                .collect(),
+            ..self
+        }
+    }
 }
 
 /// The network's plan.
@@ -126,6 +149,34 @@ impl GptNet {
         self.policy(parameters, states, layers, dropout)
     }
 
+    /// A memory of nothing; none where a step does not see all streams of those before it.
+    #[must_use]
+    pub fn memory<B: Backend>(&self) -> Option<Memory<B>> {
+        (self.view == View::All).then(|| Memory {
+            blocks: vec![None; self.blocks.len()],
+            steps: 0,
+        })
+    }
+
+    /// Scores of the next codes after one step more than `memory` holds, of at most `block` in all: as
+    /// [`GptNet::forward`] gives them for its last step. Music is `[batch, 1, columns]`, codes `[batch, 1]`.
+    pub fn extend<B: Kernels>(
+        &self,
+        parameters: &Parameters<B>,
+        memory: &mut Memory<B>,
+        music: Device<B, 3>,
+        codes: [Device<B, 2, Int>; 2],
+    ) -> Logits<B> {
+        let embedded = self.embedded(parameters, codes);
+        let tokens = self.tokens(parameters, music, embedded, memory.steps);
+        let blocks = self.blocks.iter().zip(&mut memory.blocks);
+        let hidden = blocks.fold(tokens, |hidden, (block, known)| {
+            block.extend(parameters, hidden, self.heads, known)
+        });
+        memory.steps += 1;
+        self.scores(parameters, hidden)
+    }
+
     /// The same for vectors `[batch, steps, n]` in place of codes, where the vocabulary is `n`: their
     /// columns weigh the rows of the embedding tables, and the scores are the next vectors.
     pub fn regress<B: Kernels>(
@@ -152,37 +203,62 @@ impl GptNet {
         layers: usize,
         dropout: f64,
     ) -> Device<B, 3> {
-        let [batch, steps, _] = music.dims();
-        let [upper, lower] = codes;
-        let embedded = |slot, codes: Device<B, 2, Int>| {
+        let embedded = self.embedded(parameters, codes);
+        self.embedded_states(parameters, music, embedded, layers, dropout)
+    }
+
+    /// The codes' rows of their tables.
+    fn embedded<B: Kernels>(
+        &self,
+        parameters: &Parameters<B>,
+        [upper, lower]: [Device<B, 2, Int>; 2],
+    ) -> [Device<B, 3>; 2] {
+        let rows = |slot, codes: Device<B, 2, Int>| {
+            let [batch, steps] = codes.dims();
             let rows = parameters
                 .matrix(slot)
                 .select(0, codes.reshape([batch * steps]));
             let [_, channels] = rows.dims();
             rows.reshape([batch, steps, channels])
         };
-        let upper = embedded(self.upper_embedding, upper);
-        let lower = embedded(self.lower_embedding, lower);
-        self.embedded_states(parameters, music, [upper, lower], layers, dropout)
+        [
+            rows(self.upper_embedding, upper),
+            rows(self.lower_embedding, lower),
+        ]
     }
 
     fn embedded_states<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         music: Device<B, 3>,
-        [upper, lower]: [Device<B, 3>; 2],
+        embedded: [Device<B, 3>; 2],
         layers: usize,
         dropout: f64,
     ) -> Device<B, 3> {
         let [_, steps, _] = music.dims();
-        let music = self.music.forward(parameters, music);
-        let tokens =
-            Device::cat(vec![music, upper, lower], 1) + self.position_rows(parameters, steps);
+        let tokens = self.tokens(parameters, music, embedded, 0);
         let context = self.attention(steps, dropout, parameters);
         let blocks = self.blocks.iter().take(layers);
         blocks.fold(drop(tokens, dropout), |hidden, block| {
             block.forward(parameters, hidden, &context)
         })
+    }
+
+    /// All streams of steps whose first has the position `first`, `[batch, 3 * steps, channels]`.
+    fn tokens<B: Kernels>(
+        &self,
+        parameters: &Parameters<B>,
+        music: Device<B, 3>,
+        [upper, lower]: [Device<B, 3>; 2],
+        first: usize,
+    ) -> Device<B, 3> {
+        let [_, steps, _] = music.dims();
+        let music = self.music.forward(parameters, music);
+        let table = parameters.matrix(self.positions);
+        let places =
+            (0..STREAMS).map(|stream| table.clone().narrow(0, stream * self.block + first, steps));
+        let places = Device::cat(places.collect(), 0).unsqueeze_dim(0);
+        Device::cat(vec![music, upper, lower], 1) + places
     }
 
     /// What the policy makes of such states: it has the blocks from `layers` on.
@@ -200,6 +276,12 @@ impl GptNet {
         let hidden = blocks.fold(states, |hidden, block| {
             block.forward(parameters, hidden, &context)
         });
+        self.scores(parameters, hidden)
+    }
+
+    fn scores<B: Kernels>(&self, parameters: &Parameters<B>, hidden: Device<B, 3>) -> Logits<B> {
+        let [_, tokens, _] = hidden.dims();
+        let steps = tokens / STREAMS;
         let hidden = self.final_norm.forward(parameters, hidden);
         let scores = |slot, stream: usize| {
             let rows = hidden.clone().narrow(1, stream * steps, steps);
@@ -220,13 +302,6 @@ impl GptNet {
         parameters: &Parameters<B>,
     ) -> Attention<B> {
         Attention::new(self.heads, steps, self.view, dropout, parameters.device())
-    }
-
-    /// The first `steps` positions of each stream, `[1, 3 * steps, channels]`.
-    fn position_rows<B: Kernels>(&self, parameters: &Parameters<B>, steps: usize) -> Device<B, 3> {
-        let table = parameters.matrix(self.positions);
-        let parts = (0..STREAMS).map(|stream| table.clone().narrow(0, stream * self.block, steps));
-        Device::cat(parts.collect(), 0).unsqueeze_dim(0)
     }
 }
 

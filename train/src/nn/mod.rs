@@ -17,7 +17,7 @@ mod vqvae;
 
 pub use codebook::{Codebook, MovingAverage};
 pub use critic::CriticNet;
-pub use gpt::{GptNet, Logits};
+pub use gpt::{GptNet, Logits, Memory};
 pub use initial::{GptSizes, VqVaeSizes, random_critic, random_gpt, random_vqvae};
 pub use kernels::{
     AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kernels, Kind,

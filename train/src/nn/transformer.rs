@@ -1,7 +1,7 @@
 //! Blocks of the motion GPT: attention across the three streams, perceptron, normalisation
 //! (ARCHITECTURE section 3).
 
-use burn_tensor::{Bool, Tensor as Device, TensorData, backend::Backend};
+use burn_tensor::{Bool, Int, Tensor as Device, TensorData, activation::softmax, backend::Backend};
 
 use super::{
     kernels::{Convolution, Heads, Kernels, Kind, Queries},
@@ -60,6 +60,34 @@ impl<B: Backend> Attention<B> {
             heads,
             mask: causal_mask(steps, view, device),
             dropout,
+        }
+    }
+}
+
+/// What a block remembers of the steps so far: `[batch, tokens, channels]` each.
+#[derive(Clone, Debug)]
+pub(super) struct KeysAndValues<B: Backend> {
+    keys: Device<B, 3>,
+    values: Device<B, 3>,
+}
+
+impl<B: Backend> KeysAndValues<B> {
+    /// With tokens of one more step.
+    fn with(earlier: Option<Self>, keys: Device<B, 3>, values: Device<B, 3>) -> Self {
+        match earlier {
+            None => Self { keys, values },
+            Some(earlier) => Self {
+                keys: Device::cat(vec![earlier.keys, keys], 1),
+                values: Device::cat(vec![earlier.values, values], 1),
+            },
+        }
+    }
+
+    /// Of some rows of the batch.
+    pub(super) fn of(self, rows: Device<B, 1, Int>) -> Self {
+        Self {
+            keys: self.keys.select(0, rows.clone()),
+            values: self.values.select(0, rows),
         }
     }
 }
@@ -125,6 +153,37 @@ impl BlockNet {
         let normed = self.mlp_norm.forward(parameters, hidden.clone());
         let wide = B::activate(self.mlp_in.forward(parameters, normed));
         hidden + drop(self.mlp_out.forward(parameters, wide), context.dropout)
+    }
+
+    /// [`BlockNet::forward`] for the tokens of one step after those that `memory` holds, all of which it
+    /// sees, as it sees its own; without dropout.
+    pub(super) fn extend<B: Kernels>(
+        &self,
+        parameters: &Parameters<B>,
+        input: Device<B, 3>,
+        heads: usize,
+        memory: &mut Option<KeysAndValues<B>>,
+    ) -> Device<B, 3> {
+        let normed = self.attention_norm.forward(parameters, input.clone());
+        let part = |linear: &LinearNet| linear.forward(parameters, normed.clone());
+        let (keys, values) = (part(&self.key), part(&self.value));
+        let known = KeysAndValues::with(memory.take(), keys, values);
+        let [batch, tokens, channels] = input.dims();
+        let size = channels / heads;
+        let split = |tensor: Device<B, 3>| {
+            let [_, length, _] = tensor.dims();
+            tensor.reshape([batch, length, heads, size]).swap_dims(1, 2)
+        };
+        let scale = 1.0 / (size as f64).sqrt();
+        let query = split(part(&self.query)).mul_scalar(scale);
+        let scores = query.matmul(split(known.keys.clone()).swap_dims(2, 3));
+        let mixed = softmax(scores, 3).matmul(split(known.values.clone()));
+        let mixed = mixed.swap_dims(1, 2).reshape([batch, tokens, channels]);
+        *memory = Some(known);
+        let hidden = input + self.projection.forward(parameters, mixed);
+        let normed = self.mlp_norm.forward(parameters, hidden.clone());
+        let wide = B::activate(self.mlp_in.forward(parameters, normed));
+        hidden + self.mlp_out.forward(parameters, wide)
     }
 
     fn attend<B: Kernels>(

@@ -116,7 +116,7 @@ impl GraphBuilder {
     pub(super) fn weight(&mut self, name: &str, tensor: &Tensor) -> Value {
         match self.storage {
             WeightStorage::F32 => self.float(name, tensor),
-            WeightStorage::F16 => {
+            WeightStorage::F16 | WeightStorage::Int8 => {
                 let raw = self.half_bytes(name, tensor);
                 let stored = format!("{name}.f16");
                 self.initializer(&stored, tensor.shape(), proto::FLOAT16, raw);
@@ -124,6 +124,17 @@ impl GraphBuilder {
                 self.push_node("Cast", &[&Value(stored)], vec![name.to_owned()], &[to]);
                 Value(name.to_owned())
             }
+        }
+    }
+
+    /// `input` times a matrix of weights `[inputs, outputs]`.
+    pub(super) fn product(&mut self, name: &str, matrix: &Tensor, input: &Value) -> Value {
+        match self.storage {
+            WeightStorage::F32 | WeightStorage::F16 => {
+                let matrix = self.weight(name, matrix);
+                self.apply("MatMul", &[input, &matrix], &[])
+            }
+            WeightStorage::Int8 => self.quantised_product(name, matrix, input),
         }
     }
 
@@ -187,7 +198,14 @@ impl GraphBuilder {
         });
     }
 
-    fn initializer(&mut self, name: &str, shape: &[usize], data_type: i32, raw: Vec<u8>) -> Value {
+    /// A constant of any type, its elements in little-endian order.
+    pub(super) fn initializer(
+        &mut self,
+        name: &str,
+        shape: &[usize],
+        data_type: i32,
+        raw: Vec<u8>,
+    ) -> Value {
         self.graph.initializer.push(proto::TensorData {
             dims: shape.iter().map(|&size| size as i64).collect(),
             data_type,

@@ -64,7 +64,7 @@ impl GptGraph<'_> {
         let positions = self.graph.input("positions", Int, &steps);
 
         let weights = self.weights;
-        let music = self.linear("music", &weights.music, &music);
+        let music = self.music(&weights.music, &music);
         let upper = self.gather("upper_embedding", &weights.upper_embedding, &upper);
         let lower = self.gather("lower_embedding", &weights.lower_embedding, &lower);
         let block = weights.block();
@@ -81,6 +81,17 @@ impl GptGraph<'_> {
         let streams: Vec<&Value> = streams.iter().collect();
         self.graph
             .apply("Concat", &streams, &[("axis", Attribute::Int(1))])
+    }
+
+    /// Never quantised: raw columns differ in scale by orders of magnitude, and one scale for all of them
+    /// would leave nothing of the small ones.
+    fn music(&mut self, linear: &Linear, rows: &Value) -> Value {
+        let matrix = self
+            .graph
+            .weight("music.weight", &linear.weight.transposed());
+        let bias = self.graph.weight("music.bias", &linear.bias);
+        let product = self.graph.apply("MatMul", &[rows, &matrix], &[]);
+        self.graph.apply("Add", &[&product, &bias], &[])
     }
 
     fn attention_bias(&mut self) -> Value {
@@ -184,10 +195,9 @@ impl GptGraph<'_> {
             ("upper", &weights.upper_head, upper),
             ("lower", &weights.lower_head, lower),
         ] {
-            let matrix = self
+            let logits = self
                 .graph
-                .weight(&format!("{name}_head"), &head.transposed());
-            let logits = self.graph.apply("MatMul", &[&third, &matrix], &[]);
+                .product(&format!("{name}_head"), &head.transposed(), &third);
             let shape = [
                 Dim::Named("batch"),
                 Dim::Named("steps"),
@@ -199,11 +209,11 @@ impl GptGraph<'_> {
     }
 
     fn linear(&mut self, name: &str, linear: &Linear, input: &Value) -> Value {
-        let weight = self
+        let matrix = linear.weight.transposed();
+        let product = self
             .graph
-            .weight(&format!("{name}.weight"), &linear.weight.transposed());
+            .product(&format!("{name}.weight"), &matrix, input);
         let bias = self.graph.weight(&format!("{name}.bias"), &linear.bias);
-        let product = self.graph.apply("MatMul", &[input, &weight], &[]);
         self.graph.apply("Add", &[&product, &bias], &[])
     }
 

@@ -1,13 +1,14 @@
 //! The three graphs of a model directory, written as ONNX from the weights alone.
 //!
 //! Shapes are named and dynamic; weights are stored as float32, or as float16 that is widened when
-//! the graph is loaded. Computation is always in float32.
+//! the graph is loaded. Computation is in float32, but for the GPT's products with 8-bit matrices.
 
 mod builder;
 mod decoder;
 mod encoder;
 mod gpt;
 mod proto;
+mod quantise;
 mod receptive;
 
 pub use decoder::decoder_graph;

@@ -63,6 +63,8 @@ pub(super) struct ActorCriticWork<'a, A: Trainable> {
     batch: usize,
     base_layers: usize,
     policy: Policy,
+    /// The policy as the stage found it.
+    reference: Parameters<A::InnerBackend>,
     critic: CriticNet,
     repertoire: Repertoire,
     judge: Judge,
@@ -91,6 +93,14 @@ impl ActorCriticConfig {
         }
         let earlier = rounds * self.critic_steps + place - self.actor_steps;
         (Turn::Critic, self.critic_warmup_steps + earlier)
+    }
+
+    /// Of the first `free_steps` none: what pays is found before the policy is called back.
+    fn divergence_weight_at(&self, step: u64) -> f64 {
+        match step < self.free_steps {
+            true => 0.0,
+            false => self.divergence_weight,
+        }
     }
 
     /// What the result depends on.
@@ -123,6 +133,7 @@ impl<'a, A: Trainable> ActorCriticWork<'a, A> {
     ) -> Result<(Plan<'a>, Self), TrainError> {
         let (stage, policy) = (task.stage, task.policy);
         let mut store = policy.store.clone();
+        let reference = Parameters::from_store(&store, device);
         let critic = match (task.init, &policy.critic) {
             (Some(path), _) => official_critic(config, path)?,
             (None, Some(critic)) => critic.clone(),
@@ -148,6 +159,7 @@ impl<'a, A: Trainable> ActorCriticWork<'a, A> {
             repertoire,
             judge,
             policy,
+            reference,
             steps_of_epoch: steps_of_epoch as u64,
             rollout: None,
             device: device.clone(),
@@ -182,6 +194,7 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
         "reward",
         "beat_reward",
         "consistency",
+        "divergence",
     ];
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
@@ -189,7 +202,9 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
         let (epoch, place) = (step / self.steps_of_epoch, step % self.steps_of_epoch);
         let rollout = self.rollout(&frozen, epoch);
         let windows = rollout.batch(place, self.batch);
-        let lesson = Lesson::new(&self.repertoire, &rollout, &windows, &self.device);
+        let stage = self.stage;
+        let lead = stage.reward_lead;
+        let lesson = Lesson::new(&self.repertoire, &rollout, &windows, lead, &self.device);
         // The state network is frozen and runs without dropout: it never sees `parameters`.
         let states = self.policy.net.states(
             &frozen,
@@ -198,18 +213,36 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
             self.base_layers,
             0.0,
         );
+        let policy = &self.policy.net;
+        let reference = policy.policy(&self.reference, states.clone(), self.base_layers, 0.0);
         let states = Device::<A, 3>::from_inner(states);
         let values = self.critic.forward(parameters, states.clone());
-        let surprise = lesson.surprise(values, self.stage.discount);
-        let critic = lesson.mean(surprise.clone().square());
-        let logits = self
-            .policy
-            .net
-            .policy(parameters, states, self.base_layers, 0.0);
+        let surprise = lesson.surprise(values.clone(), stage.discount);
+        let mut advantage = lesson
+            .traced(surprise.clone(), stage.discount * stage.trace)
+            .detach();
+        // The published loss is the surprise's, through both values; a trace needs a fixed target.
+        let critic = lesson.mean(match stage.trace {
+            0.0 => surprise.square(),
+            _ => {
+                let [_, moves] = advantage.dims();
+                let values = values.narrow(1, 0, moves);
+                let target = values.clone().detach() + advantage.clone();
+                (target - values).square()
+            }
+        });
+        if stage.standardise_advantage {
+            advantage = lesson.standardised(advantage);
+        }
+        let logits = policy.policy(parameters, states, self.base_layers, 0.0);
+        let divergence = lesson.mean(lesson.divergence(logits.clone(), reference));
         let (cross_entropy, entropy) = lesson.policy(logits);
-        let actor = lesson.mean(cross_entropy * surprise.detach());
+        let actor = lesson.mean(cross_entropy * advantage);
         let entropy = lesson.mean(entropy);
-        let actor = actor - entropy.clone().mul_scalar(self.stage.entropy_weight);
+        let actor = actor - entropy.clone().mul_scalar(stage.entropy_weight)
+            + divergence
+                .clone()
+                .mul_scalar(stage.divergence_weight_at(step));
         let [actor_value, critic_value, entropy] =
             [&actor, &critic, &entropy].map(|loss| loss.clone().inner());
         let mut metrics = vec![
@@ -220,13 +253,21 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
         ];
         let means = rollout.mean_rewards();
         metrics.extend(means.map(|mean| Device::from_floats([mean], &self.device)));
+        metrics.push(divergence.inner());
         self.rollout = Some(rollout);
         // What has no derivative does not move: in a turn of the one the other rests.
-        let loss = match self.stage.turn(step) {
+        let loss = match stage.turn(step) {
             (Turn::Actor, _) => actor,
             (Turn::Critic, _) => critic,
         };
         Losses { loss, metrics }
+    }
+
+    fn learns(&self, name: &str) -> bool {
+        let policy = !name.starts_with("critic");
+        // Scales, shifts and biases.
+        let gain = name.contains("norm") || name.ends_with("bias");
+        !policy || gain || !self.stage.gains_only
     }
 
     fn earlier_updates(&self, step: u64) -> u64 {

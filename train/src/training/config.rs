@@ -152,7 +152,13 @@ pub struct ActorCriticConfig {
     pub beat_weight: f64,
     pub consistency_weight: f64,
     pub discount: f64,
+    pub trace: f64,
+    pub reward_lead: usize,
+    pub standardise_advantage: bool,
     pub entropy_weight: f64,
+    pub divergence_weight: f64,
+    pub free_steps: u64,
+    pub gains_only: bool,
     pub temperature: f64,
     pub pieces_per_epoch: usize,
     pub codes: usize,
@@ -355,7 +361,9 @@ impl ActorCriticConfig {
             ("beat_weight", self.beat_weight),
             ("consistency_weight", self.consistency_weight),
             ("discount", self.discount),
+            ("trace", self.trace),
             ("entropy_weight", self.entropy_weight),
+            ("divergence_weight", self.divergence_weight),
             ("temperature", self.temperature),
         ];
         let wrong = weights

@@ -23,11 +23,13 @@ pub(super) struct Lesson<A: Trainable> {
 }
 
 impl<A: Trainable> Lesson<A> {
-    /// The windows' parts of the pieces.
+    /// The windows' parts of the pieces. The reward of a move is that of the code `lead` before it: what
+    /// a code does to the frames of those before it counts for it then.
     pub(super) fn new(
         repertoire: &Repertoire,
         rollout: &Rollout,
         windows: &[(usize, usize)],
+        lead: usize,
         device: &A::Device,
     ) -> Self {
         let (block, moves) = (repertoire.block, repertoire.block - 1);
@@ -49,8 +51,9 @@ impl<A: Trainable> Lesson<A> {
             Device::from_data(TensorData::new(codes, shape), device)
         });
         let rewards = windows.iter().flat_map(|&(piece, first)| {
-            let rewards = &rollout.episodes[piece].rewards[first + 1..][..moves];
-            rewards.iter().map(|[total, ..]| *total)
+            let rewards = &rollout.episodes[piece].rewards;
+            let of = move |code: usize| rewards[code.saturating_sub(lead)][0];
+            (first + 1..=first + moves).map(of)
         });
         let rewards: Vec<f32> = rewards.collect();
         // Windows overlap: all steps of a piece's first count, of the others the last alone.
@@ -88,11 +91,54 @@ impl<A: Trainable> Lesson<A> {
         (upper + lower, upper_entropy + lower_entropy)
     }
 
+    /// How far the policy is from another, `KL(policy || reference)` of each move in nats; upper + lower.
+    pub(super) fn divergence(
+        &self,
+        policy: Logits<A>,
+        reference: Logits<A::InnerBackend>,
+    ) -> Device<A, 2> {
+        let [windows, moves] = self.rewards.dims();
+        let half = |policy: Device<A, 3>, reference: Device<A::InnerBackend, 3>| {
+            let scores = log_softmax(policy.narrow(1, 0, moves), 2);
+            let wanted = log_softmax(reference.narrow(1, 0, moves), 2);
+            let apart = scores.clone() - Device::from_inner(wanted);
+            (scores.exp() * apart).sum_dim(2).reshape([windows, moves])
+        };
+        half(policy.upper, reference.upper) + half(policy.lower, reference.lower)
+    }
+
     /// `TD = r + discount * v[1:] - v[:-1]` (Eq. 9).
     pub(super) fn surprise(&self, values: Device<A, 2>, discount: f64) -> Device<A, 2> {
         let [_, moves] = self.rewards.dims();
         let next = values.clone().narrow(1, 1, moves);
         self.rewards.clone() + next.mul_scalar(discount) - values.narrow(1, 0, moves)
+    }
+
+    /// Sums of surprises, each later one `share` as much as that before it, to the window's end
+    /// (generalised advantage estimation, Schulman et al. 2016). With a share of 0 they stay as they are.
+    pub(super) fn traced(&self, surprise: Device<A, 2>, share: f64) -> Device<A, 2> {
+        if share == 0.0 {
+            return surprise;
+        }
+        let [_, moves] = self.rewards.dims();
+        let counts = (0..moves * moves).map(|flat| {
+            let (later, earlier) = (flat / moves, flat % moves);
+            match later.checked_sub(earlier) {
+                Some(distance) => share.powi(distance as i32) as f32,
+                None => 0.0,
+            }
+        });
+        let counts = TensorData::new(counts.collect(), [moves, moves]);
+        let device = surprise.device();
+        surprise.matmul(Device::from_data(counts, &device))
+    }
+
+    /// With mean 0 and variance 1 over the batch, so that half of the moves get likelier and half less.
+    pub(super) fn standardised(&self, values: Device<A, 2>) -> Device<A, 2> {
+        let mean = self.mean(values.clone()).unsqueeze_dim(0);
+        let centred = values - mean;
+        let variance = self.mean(centred.clone().square()).unsqueeze_dim(0);
+        centred / variance.sqrt().add_scalar(1e-6)
     }
 
     pub(super) fn mean(&self, values: Device<A, 2>) -> Device<A, 1> {
@@ -116,7 +162,7 @@ mod tests {
     const BLOCK: usize = 4;
 
     /// One piece of 6 codes: upper `k`, lower `10 + k`, reward `k * k`, music row `k` is `[k]`.
-    fn lesson(windows: &[(usize, usize)]) -> Lesson<Cpu> {
+    fn lesson(windows: &[(usize, usize)], lead: usize) -> Lesson<Cpu> {
         let repertoire = Repertoire {
             songs: vec![Song {
                 rows: Array2::from_shape_fn((7, 1), |(row, _)| row as f32),
@@ -133,12 +179,12 @@ mod tests {
             rewards: (0..6).map(|k| [(k * k) as f32, 0.0, 0.0]).collect(),
         };
         let rollout = repertoire.arranged(0, vec![episode]);
-        Lesson::new(&repertoire, &rollout, windows, &FlexDevice)
+        Lesson::new(&repertoire, &rollout, windows, lead, &FlexDevice)
     }
 
     #[test]
     fn windows_are_cut_as_defined() {
-        let lesson = lesson(&[(0, 0), (0, 2)]);
+        let lesson = lesson(&[(0, 0), (0, 2)], 0);
         let music = values(&lesson.music);
         assert_eq!(music, [1.0, 2.0, 3.0, 4.0, 3.0, 4.0, 5.0, 6.0]);
         let codes =
@@ -153,7 +199,7 @@ mod tests {
 
     #[test]
     fn surprise_and_cross_entropy_are_as_defined() {
-        let lesson = lesson(&[(0, 0)]);
+        let lesson = lesson(&[(0, 0)], 0);
         let state_values = Device::from_floats([[1.0, -2.0, 0.5, 3.0]], &FlexDevice);
         let surprise = lesson.surprise(state_values, 0.5);
         let wanted = [1.0 - 1.0 - 1.0, 4.0 + 0.25 + 2.0, 9.0 + 1.5 - 0.5];
@@ -189,6 +235,71 @@ mod tests {
             let close = |found: f32, wanted: f32| assert!((found - wanted).abs() < 1e-5);
             close(values(&cross_entropy)[step], upper.0 + lower.0);
             close(values(&entropy)[step], upper.1 + lower.1);
+        }
+    }
+
+    #[test]
+    fn a_divergence_is_none_from_itself_and_else_as_defined() {
+        let lesson = lesson(&[(0, 0)], 0);
+        let table = |shift: f32| -> Vec<f32> {
+            (0..BLOCK * 20)
+                .map(|flat| (flat as f32 * 0.37 + shift).sin())
+                .collect()
+        };
+        fn device<B: burn_tensor::backend::Backend<Device = FlexDevice>>(
+            table: &[f32],
+        ) -> Device<B, 3> {
+            Device::from_data(TensorData::new(table.to_vec(), [1, BLOCK, 20]), &FlexDevice)
+        }
+        let divergence = |policy: [f32; 2], reference: [f32; 2]| {
+            let policy = policy.map(|shift| device::<Cpu>(&table(shift)));
+            let reference = reference.map(|shift| device::<Flex>(&table(shift)));
+            let [upper, lower] = policy;
+            let policy = Logits { upper, lower };
+            let [upper, lower] = reference;
+            values(&lesson.divergence(policy, Logits { upper, lower }))
+        };
+        let none = divergence([0.3, 1.0], [0.3, 1.0]);
+        assert!(none.iter().all(|nats| nats.abs() < 1e-6), "{none:?}");
+        let found = divergence([0.3, 1.0], [0.8, -2.0]);
+        for (step, found) in found.into_iter().enumerate() {
+            let half = |policy: f32, reference: f32| -> f32 {
+                let shares = |shift: f32| -> Vec<f32> {
+                    let row = table(shift)[step * 20..][..20].to_vec();
+                    let total: f32 = row.iter().map(|score| score.exp()).sum();
+                    row.iter().map(|score| score.exp() / total).collect()
+                };
+                let pairs = shares(policy).into_iter().zip(shares(reference));
+                pairs.map(|(p, q)| p * (p / q).ln()).sum()
+            };
+            let wanted = half(0.3, 0.8) + half(1.0, -2.0);
+            assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
+        }
+    }
+
+    #[test]
+    fn a_code_may_be_paid_for_the_one_before_it() {
+        let lesson = lesson(&[(0, 0), (0, 2)], 1);
+        assert_eq!(values(&lesson.rewards), [0.0, 1.0, 4.0, 4.0, 9.0, 16.0]);
+    }
+
+    #[test]
+    fn later_surprises_count_by_their_distance() {
+        let lesson = lesson(&[(0, 0)], 0);
+        let surprise = || Device::<Cpu, 2>::from_floats([[1.0, -2.0, 4.0]], &FlexDevice);
+        assert_eq!(values(&lesson.traced(surprise(), 0.0)), [1.0, -2.0, 4.0]);
+        assert_eq!(values(&lesson.traced(surprise(), 0.5)), [1.0, 0.0, 4.0]);
+    }
+
+    #[test]
+    fn standardised_values_have_the_mean_and_variance_of_what_counts() {
+        // Of the second window only the last move counts.
+        let lesson = lesson(&[(0, 0), (0, 2)], 0);
+        let table =
+            Device::<Cpu, 2>::from_floats([[1.0, 2.0, 3.0], [50.0, 60.0, 6.0]], &FlexDevice);
+        let found = values(&lesson.standardised(table));
+        for (value, wanted) in [(0, 1.0), (1, 2.0), (2, 3.0), (5, 6.0)] {
+            assert!((found[value] - (wanted - 3.0) / 3.5_f32.sqrt()).abs() < 1e-5);
         }
     }
 }

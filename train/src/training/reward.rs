@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use bailando::{
     evaluation::{Pose, speed},
-    motion::{Positions, beat_meeting, dance_beats},
+    motion::{Positions, beat_meeting, dance_beats, smoothed},
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -30,6 +30,11 @@ pub enum BeatReward {
     /// nearness to the other's (the terms of Eq. 15), from -1 to 1; 0 for a code without any. Eight frames
     /// are coarser than Eq. 15 is, and without the dance's beats more of them would pay.
     Align,
+    /// Ours: how well the smoothed speed goes with the music's pulse, slowest on its beats and fastest between
+    /// them. It is the correlation of the speed with minus the cosine of the place between two beats, of
+    /// which a code has the part of its frames: from -1 to 1 for a whole piece, 0 for frames outside the beats. Every
+    /// frame counts, where beats of the dance are found or lost; and a slower dance gains nothing.
+    Pulse,
 }
 
 /// How rewards are weighed: `beat_weight * R_b + consistency_weight * R_c` (Eq. 12).
@@ -64,7 +69,9 @@ impl RewardRule {
     #[must_use]
     pub fn rewards(&self, positions: &Positions, music_beats: &[bool]) -> Vec<Reward> {
         let poses = poses(positions);
-        let dance = dance_beats(&speed(&poses));
+        let speed = speed(&poses);
+        let dance = dance_beats(&speed);
+        let pulse = pulse(music_beats, &speed);
         let music = music_beats.iter().enumerate();
         let music: Vec<usize> = music
             .filter_map(|(frame, &beat)| beat.then_some(frame))
@@ -72,7 +79,11 @@ impl RewardRule {
         let codes = poses.chunks(FRAMES_PER_CODE).enumerate();
         let rewards = codes.map(|(code, poses)| {
             let first = code * FRAMES_PER_CODE;
-            let beat = self.beat.of(&music, &dance, first..first + poses.len());
+            let frames = first..first + poses.len();
+            let beat = match self.beat {
+                BeatReward::Pulse => mean(pulse.get(frames).unwrap_or_default()),
+                beat => beat.of(&music, &dance, frames),
+            };
             self.weighed(beat, consistency(poses))
         });
         rewards.collect()
@@ -99,9 +110,41 @@ impl BeatReward {
                 let meeting = beat_meeting(music, dance, frames);
                 return meeting.map_or(0.0, |meeting| 2.0 * meeting - 1.0);
             }
+            // Beats of the dance have no part in it.
+            Self::Pulse => return 0.0,
         };
         if good { 1.0 } else { -1.0 }
     }
+}
+
+/// Each frame's part in the correlation of smoothed speed and the music's pulse.
+fn pulse(music_beats: &[bool], speed: &[f64]) -> Vec<f64> {
+    let smooth = smoothed(speed);
+    let middle = mean(&smooth);
+    let deviations: Vec<f64> = smooth.iter().map(|speed| speed - middle).collect();
+    let spread = mean(&deviations.iter().map(|d| d * d).collect::<Vec<_>>()).sqrt();
+    let mut pulse = vec![0.0; speed.len()];
+    if spread <= f64::EPSILON {
+        return pulse;
+    }
+    let beats = music_beats.iter().take(speed.len()).enumerate();
+    let beats: Vec<usize> = beats
+        .filter_map(|(frame, &beat)| beat.then_some(frame))
+        .collect();
+    for pair in beats.windows(2) {
+        let &[from, to] = pair else { continue };
+        for frame in from..to {
+            let place = (frame - from) as f64 / (to - from) as f64;
+            let wanted = -(std::f64::consts::TAU * place).cos();
+            // A cosine's own spread is the root of a half.
+            pulse[frame] = std::f64::consts::SQRT_2 * wanted * deviations[frame] / spread;
+        }
+    }
+    pulse
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len().max(1) as f64
 }
 
 /// Eq. 14: the smallest product of the halves' facings over the frames where it is negative, else 1.
@@ -274,5 +317,48 @@ mod tests {
         assert_eq!(good.map(|(code, _)| code).collect::<Vec<_>>(), [2, 7]);
         assert!(rewards.iter().all(|reward| reward.total.abs() == 5.0));
         assert!(rule.rewards(&dance(0), &[]).is_empty());
+    }
+
+    #[test]
+    fn a_dance_that_is_slowest_on_the_beats_goes_with_the_pulse() {
+        let rule = RewardRule {
+            beat: BeatReward::Pulse,
+            beat_weight: 1.0,
+            consistency_weight: 0.0,
+        };
+        let positions = dance(200);
+        // The speed is slowest at frames 20, 60, 100, ..; its smoothing mirrors the ends.
+        let mean_reward = |first: usize| {
+            let mut beats = vec![false; 200];
+            (first..200)
+                .step_by(40)
+                .for_each(|frame| beats[frame] = true);
+            let rewards = rule.rewards(&positions, &beats);
+            // Codes that lie between the first and the last beat.
+            let inner = &rewards[first.div_ceil(8)..(first + 120) / 8];
+            inner.iter().map(|reward| reward.beat).sum::<f64>() / inner.len() as f64
+        };
+        let (on, off, between) = (mean_reward(20), mean_reward(40), mean_reward(30));
+        assert!(
+            on > 0.9 && off < -0.9 && between.abs() < 0.2,
+            "{on} {off} {between}"
+        );
+        // Twice as fast goes with it as well as before.
+        let twice = positions.mapv(|metres| 2.0 * metres);
+        let mut beats = vec![false; 200];
+        (20..200).step_by(40).for_each(|frame| beats[frame] = true);
+        let (own, faster) = (
+            rule.rewards(&positions, &beats),
+            rule.rewards(&twice, &beats),
+        );
+        for (own, faster) in own.iter().zip(&faster) {
+            assert!((own.beat - faster.beat).abs() < 1e-3);
+        }
+        // Nothing to go with.
+        assert!(
+            rule.rewards(&positions, &[])
+                .iter()
+                .all(|reward| reward.beat == 0.0)
+        );
     }
 }

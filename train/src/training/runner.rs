@@ -34,6 +34,11 @@ pub(super) trait Work<A: Trainable> {
     fn earlier_updates(&self, step: u64) -> u64 {
         step
     }
+    /// Whether the weights of this name learn; a loss may have a derivative for others, too.
+    fn learns(&self, name: &str) -> bool {
+        let _ = name;
+        true
+    }
     /// The metrics on the test split, without derivatives, dropout or change of any state; `None` where there is no test split.
     fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {
         let _ = parameters;

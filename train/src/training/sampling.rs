@@ -4,7 +4,7 @@ use burn_tensor::{Int, Tensor as Device, TensorData};
 use ndarray::ArrayView2;
 use rand_chacha::{ChaCha8Rng, rand_core::Rng};
 
-use crate::nn::{GptNet, Kernels, Parameters, values};
+use crate::nn::{GptNet, Kernels, Memory, Parameters, values};
 
 /// A piece to be generated.
 pub(super) struct Wish<'a> {
@@ -43,8 +43,8 @@ pub(super) struct Sampler<'a, B: Kernels> {
 
 impl<B: Kernels> Sampler<'_, B> {
     /// The codes of each piece. Histories slide as in ARCHITECTURE section 3 with `s = 28`: every
-    /// step sees the last 28 codes re-indexed from position 0, so all is computed anew each step
-    /// and nothing can be cached; pieces side by side keep the device busy instead.
+    /// step sees the last 28 codes re-indexed from position 0. What they gave is remembered until they
+    /// slide; from there on all is computed anew each step, and pieces side by side keep the device busy.
     pub(super) fn generate(&self, mut wishes: Vec<Wish<'_>>) -> Vec<[Vec<i32>; 2]> {
         let mut pieces: Vec<[Vec<i32>; 2]> = wishes
             .iter()
@@ -55,11 +55,21 @@ impl<B: Kernels> Sampler<'_, B> {
             .map(|wish| wish.music.nrows())
             .max()
             .unwrap_or(0);
+        let mut memory = self
+            .net
+            .memory()
+            .map(|memory| (memory, (0..wishes.len()).collect()));
         for known in 1..longest.saturating_sub(1) {
             let unfinished: Vec<usize> = (0..wishes.len())
                 .filter(|&piece| known + 1 < wishes[piece].music.nrows())
                 .collect();
-            let logits = self.logits(&wishes, &pieces, &unfinished, known);
+            if known >= self.net.block() {
+                memory = None;
+            }
+            let logits = match &mut memory {
+                Some(memory) => self.extended(memory, &wishes, &pieces, &unfinished),
+                None => self.logits(&wishes, &pieces, &unfinished, known),
+            };
             for (place, &piece) in unfinished.iter().enumerate() {
                 let mut next = |logits: &[f32]| {
                     let vocabulary = logits.len() / unfinished.len();
@@ -109,6 +119,38 @@ impl<B: Kernels> Sampler<'_, B> {
             }
         }
         pieces
+    }
+
+    /// Scores of the next code of the given pieces, one after the other; `memory` holds all codes but
+    /// their last of those pieces that it names, and then of the given ones.
+    fn extended(
+        &self,
+        (memory, remembered): &mut (Memory<B>, Vec<usize>),
+        wishes: &[Wish<'_>],
+        pieces: &[[Vec<i32>; 2]],
+        unfinished: &[usize],
+    ) -> [Vec<f32>; 2] {
+        let device = self.parameters.device();
+        if remembered != unfinished {
+            let places = (0..).zip(remembered.iter());
+            let places = places.filter(|(_, piece)| unfinished.contains(piece));
+            let places: Vec<i32> = places.map(|(place, _)| place).collect();
+            let length = places.len();
+            let places = Device::from_data(TensorData::new(places, [length]), device);
+            *memory = memory.clone().of(&places);
+            unfinished.clone_into(remembered);
+        }
+        let newest: Vec<_> = unfinished
+            .iter()
+            .map(|&piece| Window {
+                music: wishes[piece].music,
+                codes: &pieces[piece],
+                first: pieces[piece][0].len() - 1,
+            })
+            .collect();
+        let (music, codes) = inputs(&newest, 1, device);
+        let logits = self.net.extend(self.parameters, memory, music, codes);
+        [logits.upper, logits.lower].map(|logits| values(&logits))
     }
 
     /// Scores of code `known` of the given pieces, one after the other.
@@ -241,20 +283,22 @@ mod tests {
         let music: Array2<f32> = ndarray_npy::read_npy(fixture("music.npy")).unwrap();
         let start = golden_codes("start_codes.npy");
         let start = [start[0], start[1]];
-        // A shorter piece beside it ends earlier and is the same as far as it goes.
+        // Shorter pieces beside it end earlier, with the memory and after it, and are the same as far as
+        // they go.
         let wish = |rows: usize| Wish {
             music: music.slice_axis(Axis(0), Slice::from(..rows)),
             start,
             random: generator(1, 2),
         };
-        let pieces = sampler.generate(vec![wish(60), wish(35)]);
+        let pieces = sampler.generate(vec![wish(20), wish(60), wish(35)]);
         for (half, name) in ["codes_slide_up.npy", "codes_slide_down.npy"]
             .into_iter()
             .enumerate()
         {
             let golden = golden_codes(name);
-            assert_eq!(pieces[0][half], golden[..59]);
-            assert_eq!(pieces[1][half], golden[..34]);
+            for (piece, codes) in pieces.iter().zip([19, 59, 34]) {
+                assert_eq!(piece[half], golden[..codes]);
+            }
         }
     }
 

@@ -30,6 +30,8 @@ pub(super) struct Best {
 
 pub(super) struct State<A: Trainable> {
     parameters: Parameters<A::InnerBackend>,
+    /// Which of them learn.
+    learns: Vec<bool>,
     adam: Adam<A::InnerBackend>,
     pub(super) step: u64,
     pub(super) best: Option<Best>,
@@ -53,6 +55,12 @@ impl<A: Trainable> State<A> {
         let mut state = Self {
             adam: Adam::new(parameters.tensors(), plan.training.betas),
             parameters,
+            learns: plan
+                .store
+                .entries()
+                .iter()
+                .map(|(name, _)| work.learns(name))
+                .collect(),
             step: 0,
             best: None,
             sums: W::COLUMNS
@@ -114,8 +122,12 @@ impl<A: Trainable> State<A> {
         let tracked: Parameters<A> = self.parameters.tracked();
         let Losses { loss, metrics } = work.step(&tracked, self.step);
         let mut gradients = loss.backward();
-        let tensors = tracked.tensors().iter();
-        let mut gradients: Vec<_> = tensors.map(|t| t.grad_remove(&mut gradients)).collect();
+        let tensors = tracked.tensors().iter().zip(&self.learns);
+        let gradient = |(tensor, learns): (&Device<A, 1>, &bool)| {
+            let gradient = tensor.grad_remove(&mut gradients);
+            gradient.filter(|_| *learns)
+        };
+        let mut gradients: Vec<_> = tensors.map(gradient).collect();
         // The last copies but our own: what nobody else has is changed in its place.
         drop(tracked);
         clip(&mut gradients, training.clip);

@@ -1,0 +1,40 @@
+//! What was measured on. Linux tells; elsewhere the fields stay empty.
+
+use std::{fs, num::NonZeroUsize, thread};
+
+use super::report::Machine;
+
+pub(super) fn describe() -> Machine {
+    let cpu = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let named = |name: &str| {
+        let line = cpu.lines().find(|line| line.starts_with(name))?;
+        line.split_once(':')
+            .map(|(_, value)| value.trim().to_owned())
+    };
+    let flags = named("flags").unwrap_or_default();
+    let vectors = ["avx2", "avx512f", "avx512_vnni", "amx_int8"];
+    let has = |flag: &&str| flags.split_whitespace().any(|found| found == *flag);
+    Machine {
+        cpu: named("model name").unwrap_or_default(),
+        vectors: vectors.into_iter().filter(has).map(str::to_owned).collect(),
+        cores: thread::available_parallelism().map_or(1, NonZeroUsize::get),
+        system: format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+    }
+}
+
+/// Memory that the process holds now.
+pub(super) fn resident_bytes() -> Option<u64> {
+    status("VmRSS:")
+}
+
+/// The most that it has held.
+pub(super) fn peak_bytes() -> Option<u64> {
+    status("VmHWM:")
+}
+
+fn status(name: &str) -> Option<u64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with(name))?;
+    let kilobytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(1024 * kilobytes)
+}

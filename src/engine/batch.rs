@@ -1,0 +1,270 @@
+//! Continuous batching: requests at different places of their songs share every step of the model, and
+//! come and go between steps.
+
+use std::{
+    collections::VecDeque,
+    panic::{self, AssertUnwindSafe},
+    time::{Duration, Instant},
+};
+
+use crossbeam_channel::Sender;
+
+use super::{
+    EngineError,
+    error::of_model,
+    piece::Piece,
+    progress::Stage,
+    sessions::Sessions,
+    worker::{Job, Outcome},
+};
+use crate::{Result, model::GptMemory};
+
+/// Requests in the making, and the model that makes them.
+pub(crate) struct Batch {
+    sessions: Sessions,
+    memory: GptMemory,
+    /// Share the next step. Their rows of memory lie behind one another in this order.
+    dancing: Vec<Seat>,
+    /// Wait for rows: new ones, and ones that made room at the end of a phrase. First come, first served.
+    line: VecDeque<Seat>,
+    /// Have all their codes, but not all their frames.
+    decoding: VecDeque<Seat>,
+}
+
+/// A request and who waits for it.
+struct Seat {
+    piece: Piece,
+    reply: Reply,
+    queued: Duration,
+    started: Instant,
+    /// Took no step since it came in from the line.
+    fresh: bool,
+}
+
+/// Where an outcome goes. Dropped unanswered it says that the model has stopped.
+pub(crate) struct Reply(pub(crate) Sender<Result<Outcome>>);
+
+impl Reply {
+    fn send(&self, result: Result<Outcome>) {
+        // Full when the request was cancelled meanwhile: it has its answer then.
+        let _ = self.0.try_send(result);
+    }
+}
+
+impl Drop for Reply {
+    /// After an answer nobody listens any more.
+    fn drop(&mut self) {
+        self.send(Err(EngineError::Stopped.into()));
+    }
+}
+
+impl Batch {
+    /// Nothing to do yet; at most `rows` dances share a step.
+    pub(crate) fn new(sessions: Sessions, rows: usize) -> Self {
+        Self {
+            memory: sessions.gpt.memory(rows),
+            sessions,
+            dancing: Vec::new(),
+            line: VecDeque::new(),
+            decoding: VecDeque::new(),
+        }
+    }
+
+    /// Whether one more request may begin. As many as there are rows may do without one for now, so that
+    /// what is begun is bounded, and that a request finds a place beside ones that hold all rows for long.
+    pub(crate) fn has_place(&self) -> bool {
+        self.line.len() + self.decoding.len() < self.memory.rows()
+    }
+
+    /// Whether there is nothing to do.
+    pub(crate) fn is_idle(&self) -> bool {
+        self.dancing.is_empty() && self.line.is_empty() && self.decoding.is_empty()
+    }
+
+    /// Lets a request join after it waited for `queued`.
+    pub(crate) fn join(&mut self, job: Job, reply: Reply, queued: Duration) {
+        let manifest = self.sessions.directory.manifest();
+        let begun = guarded(|| Ok(Piece::new(job, manifest)));
+        match begun {
+            Ok(piece) => self.line.push_back(Seat {
+                piece,
+                reply,
+                queued,
+                started: Instant::now(),
+                fresh: true,
+            }),
+            Err(error) => reply.send(Err(error)),
+        }
+    }
+
+    /// One step of every dance that has rows, and a chunk of frames for each that has the codes.
+    pub(crate) fn round(&mut self) {
+        self.leave_if_cancelled();
+        self.make_room();
+        self.step();
+        self.decode();
+    }
+
+    fn leave_if_cancelled(&mut self) {
+        let wanted = |seat: &mut Seat| !seat.piece.cancel().is_cancelled();
+        self.line.retain_mut(wanted);
+        self.decoding.retain_mut(wanted);
+        let unwanted = |seat: &Seat| seat.piece.cancel().is_cancelled();
+        while let Some(place) = self.dancing.iter().position(unwanted) {
+            self.take_out(place);
+        }
+    }
+
+    /// Lets in who is first in line. If there are no rows left, who is at the end of a phrase goes to the
+    /// line's end: a long song never blocks the others.
+    fn make_room(&mut self) {
+        while let Some(next) = self.line.front() {
+            let free = self.memory.rows() - self.rows_before(self.dancing.len());
+            if next.piece.rows() <= free {
+                self.dancing.extend(self.line.pop_front());
+                continue;
+            }
+            let rests = |seat: &Seat| !seat.fresh && seat.piece.can_rest();
+            let Some(place) = self.dancing.iter().position(rests) else {
+                return;
+            };
+            let seat = self.take_out(place);
+            self.line.push_back(Seat {
+                fresh: true,
+                ..seat
+            });
+        }
+    }
+
+    /// Rows of those before a place.
+    fn rows_before(&self, place: usize) -> usize {
+        let before = self.dancing.iter().take(place);
+        before.map(|seat| seat.piece.rows()).sum()
+    }
+
+    /// Takes one out; the rows of those behind it move up.
+    fn take_out(&mut self, place: usize) -> Seat {
+        let (first, all) = (
+            self.rows_before(place),
+            self.rows_before(self.dancing.len()),
+        );
+        let seat = self.dancing.remove(place);
+        self.memory.copy(first + seat.piece.rows()..all, first);
+        seat
+    }
+
+    fn step(&mut self) {
+        self.each(|sessions, memory, first, piece| {
+            piece
+                .prime(&mut sessions.gpt, memory, first)
+                .map_err(of_model)
+        });
+        let next: Vec<_> = self
+            .dancing
+            .iter()
+            .flat_map(|seat| seat.piece.next_steps())
+            .collect();
+        if next.is_empty() {
+            return;
+        }
+        let logits = match self.sessions.gpt.step(&mut self.memory, &next) {
+            Ok(logits) => logits,
+            Err(error) => return self.fail_all(&error.to_string()),
+        };
+        // A phrase that ends may begin one of as many rows, or none: no place changes meanwhile.
+        self.each(|sessions, _, first, piece| {
+            piece.choose(&logits, first);
+            piece.settle(&mut sessions.decoder, sessions.directory.manifest())
+        });
+        for seat in &mut self.dancing {
+            seat.fresh = false;
+        }
+        let has_all = |seat: &Seat| seat.piece.has_all_codes();
+        while let Some(place) = self.dancing.iter().position(has_all) {
+            let seat = self.take_out(place);
+            self.decoding.push_back(seat);
+        }
+    }
+
+    /// Does `work` for every dancing piece, given its first row. Whoever fails, or panics, leaves alone.
+    fn each(
+        &mut self,
+        mut work: impl FnMut(&mut Sessions, &mut GptMemory, usize, &mut Piece) -> Result<()>,
+    ) {
+        let mut failed = Vec::new();
+        let mut first = 0;
+        for (place, seat) in self.dancing.iter_mut().enumerate() {
+            let rows = seat.piece.rows();
+            let done =
+                guarded(|| work(&mut self.sessions, &mut self.memory, first, &mut seat.piece));
+            if let Err(error) = done {
+                seat.reply.send(Err(error));
+                failed.push((place, first, rows));
+            }
+            first += rows;
+        }
+        // From the last on, so that places and rows of those before stay. What failed says nothing
+        // reliable about its rows any more.
+        for (place, row, rows) in failed.into_iter().rev() {
+            self.dancing.remove(place);
+            self.memory.copy(row + rows..first, row);
+            first -= rows;
+        }
+    }
+
+    /// A shared step that fails is everybody's.
+    fn fail_all(&mut self, problem: &str) {
+        tracing::error!(problem, "a step of the model failed");
+        for seat in self.dancing.drain(..) {
+            seat.reply.send(Err(EngineError::Panicked.into()));
+        }
+    }
+
+    fn decode(&mut self) {
+        self.each(|sessions, _, _, piece| {
+            let manifest = sessions.directory.manifest();
+            piece.decode(&mut sessions.decoder, manifest).map(drop)
+        });
+        for _ in 0..self.decoding.len() {
+            let Some(mut seat) = self.decoding.pop_front() else {
+                return;
+            };
+            let sessions = &mut self.sessions;
+            let manifest = sessions.directory.manifest();
+            let done = guarded(|| seat.piece.decode(&mut sessions.decoder, manifest));
+            match done {
+                Err(error) => seat.reply.send(Err(error)),
+                Ok(_) if seat.piece.is_complete() => self.finish(seat),
+                Ok(_) => self.decoding.push_back(seat),
+            }
+        }
+    }
+
+    fn finish(&self, seat: Seat) {
+        let manifest = self.sessions.directory.manifest();
+        let Seat {
+            piece,
+            reply,
+            queued,
+            started,
+            ..
+        } = seat;
+        let outcome = guarded(|| {
+            piece.job().progress.stage(Stage::Motion);
+            let (_, codes, motion) = piece.into_parts();
+            Ok(Outcome {
+                codes,
+                motion: manifest.motion_frame.into_world(motion)?,
+                queued,
+                inference: started.elapsed(),
+            })
+        });
+        reply.send(outcome);
+    }
+}
+
+/// A panic costs the request that it is about.
+fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
+    panic::catch_unwind(AssertUnwindSafe(work))
+        .unwrap_or_else(|_| Err(EngineError::Panicked.into()))
+}

@@ -1,0 +1,314 @@
+//! One request in the making: the codes so far, and what its dances in the batch ask of the model.
+
+use ndarray::{ArrayView2, Axis, Slice};
+
+use super::{
+    chunks::Chunks,
+    error::of_model,
+    guidance::Guide,
+    sampler::Sampler,
+    search::{Judge, Phrase, phrase_end},
+    window::WindowStep,
+    worker::Job,
+};
+use crate::{
+    CancelToken, Result,
+    format::Codes,
+    model::{Decoder, Gpt, GptMemory, Logits, Manifest, ModelError, NextStep, Steps},
+};
+
+/// A request whose codes are being chosen, phrase by phrase. Its dances, one or a candidate each, go side
+/// by side; at a phrase's start nothing that the model remembers of them is needed.
+pub(crate) struct Piece {
+    job: Job,
+    guide: Option<Guide>,
+    /// The request's generator, which serves a single dance throughout.
+    sampler: Sampler,
+    settled: Codes,
+    dances: Vec<Dancing>,
+    /// How many phrases are settled.
+    phrases: u64,
+    /// Number of codes at the end of the current one.
+    end: usize,
+    candidates: Phrase,
+    /// The model remembers nothing of these dances yet.
+    unprimed: bool,
+    chunks: Chunks,
+}
+
+/// One of the dances that a phrase could become.
+struct Dancing {
+    codes: Codes,
+    sampler: Sampler,
+}
+
+impl Piece {
+    /// Before its first step.
+    pub(crate) fn new(job: Job, manifest: &Manifest) -> Self {
+        let mut sampler = Sampler::new(job.sampling, job.seed);
+        let [upper, lower] = start_codes(job.start, manifest, &mut sampler);
+        let mut piece = Self {
+            guide: Guide::new(job.guidance, job.music.view()),
+            chunks: Chunks::new(job.music.nrows(), manifest),
+            job,
+            sampler,
+            settled: Codes {
+                upper: vec![upper],
+                lower: vec![lower],
+            },
+            dances: Vec::new(),
+            phrases: 0,
+            end: 0,
+            candidates: Phrase::default(),
+            unprimed: true,
+        };
+        piece.begin_phrase();
+        piece
+    }
+
+    pub(crate) fn job(&self) -> &Job {
+        &self.job
+    }
+
+    /// Codes of the whole piece.
+    fn total(&self) -> usize {
+        self.job.music.nrows()
+    }
+
+    /// Rows of the batch that it takes.
+    pub(crate) fn rows(&self) -> usize {
+        self.job.rows()
+    }
+
+    /// With and without the music's time, if it is guided.
+    fn branches(&self) -> usize {
+        1 + usize::from(self.guide.is_some())
+    }
+
+    /// Whether all codes are chosen.
+    pub(crate) fn has_all_codes(&self) -> bool {
+        self.settled.upper.len() >= self.total()
+    }
+
+    /// Whether it is at a phrase's start, where it can leave the batch and come back at no cost.
+    pub(crate) fn can_rest(&self) -> bool {
+        self.unprimed
+    }
+
+    fn begin_phrase(&mut self) {
+        let settled = self.settled.upper.len();
+        let choice = self.job.has_a_choice();
+        self.end = match choice {
+            true => phrase_end(settled, self.total(), self.job.window),
+            false => (settled + 1..self.total())
+                .find(|&length| self.job.window.moves_at(length - 1))
+                .unwrap_or_else(|| self.total()),
+        };
+        self.candidates = Phrase::default();
+        self.begin_candidates();
+    }
+
+    /// Each with a generator of its own, so that it comes out the same however many go side by side.
+    fn begin_candidates(&mut self) {
+        self.unprimed = true;
+        let dancing = |sampler: Sampler| Dancing {
+            codes: self.settled.clone(),
+            sampler,
+        };
+        if !self.job.has_a_choice() {
+            self.dances = vec![dancing(self.sampler.clone())];
+            return;
+        }
+        let tried = self.candidates.tried();
+        self.dances = (tried..tried + self.job.candidates)
+            .map(|candidate| {
+                let number = self.phrases << 32 | candidate as u64;
+                dancing(self.sampler.stream(number + 1))
+            })
+            .collect();
+    }
+
+    /// Makes the model remember what the next step needs: the codes of the window before the newest,
+    /// where it moved or nothing is remembered. The piece's rows begin at `first`.
+    pub(crate) fn prime(
+        &mut self,
+        gpt: &mut Gpt,
+        memory: &mut GptMemory,
+        first: usize,
+    ) -> Result<(), ModelError> {
+        let step = self.step();
+        let start = match self.job.window.at(step) {
+            WindowStep::Prime { start } => start,
+            WindowStep::Extend if self.unprimed => self.job.window.start(step),
+            WindowStep::Extend => return Ok(()),
+        };
+        let count = self.dances.len();
+        for branch in 0..self.branches() {
+            let music = self.music(branch);
+            for (number, dance) in self.dances.iter().enumerate() {
+                let row = first + branch * count + number;
+                if self.unprimed && number > 0 {
+                    // All of them are the settled codes still.
+                    memory.copy(row - 1..row, row);
+                    continue;
+                }
+                memory.forget(row);
+                if start < step {
+                    let steps = steps(&dance.codes, music, start..step);
+                    gpt.prime(memory, row, steps, &self.job.cancel)?;
+                }
+            }
+        }
+        self.unprimed = false;
+        Ok(())
+    }
+
+    /// Index of the newest code.
+    fn step(&self) -> usize {
+        let codes = self
+            .dances
+            .first()
+            .map_or(0, |dance| dance.codes.upper.len());
+        codes.saturating_sub(1)
+    }
+
+    /// The music that a branch hears.
+    fn music(&self, branch: usize) -> ArrayView2<'_, f32> {
+        match (&self.guide, branch) {
+            (Some(guide), 1) => guide.timeless(),
+            _ => self.job.music.view(),
+        }
+    }
+
+    /// The newest step of every row.
+    pub(crate) fn next_steps(&self) -> impl Iterator<Item = NextStep<'_>> {
+        let step = self.step();
+        (0..self.branches()).flat_map(move |branch| {
+            let music = self.music(branch);
+            self.dances.iter().map(move |dance| NextStep {
+                upper: dance.codes.upper.last().copied().unwrap_or_default(),
+                lower: dance.codes.lower.last().copied().unwrap_or_default(),
+                // The row beside code k is k + 1: the reference drops the first row.
+                music: music.index_axis_move(Axis(0), step + 1),
+            })
+        })
+    }
+
+    /// Chooses the next code of every dance from its row of `logits`; the piece's begin at `first`.
+    pub(crate) fn choose(&mut self, logits: &Logits, first: usize) {
+        let count = self.dances.len();
+        let guide = self.guide.as_ref();
+        for (number, Dancing { codes, sampler }) in self.dances.iter_mut().enumerate() {
+            let row = first + number;
+            // Upper first: one generator serves both halves in this order.
+            let halves = [
+                (&logits.upper, &mut codes.upper),
+                (&logits.lower, &mut codes.lower),
+            ];
+            for (logits, codes) in halves {
+                let heard = logits.row(row);
+                let code = match guide {
+                    Some(guide) => sampler.next(guide.lead(heard, logits.row(row + count))),
+                    None => sampler.next(heard.iter().copied()),
+                };
+                // The vocabulary is at most u32::MAX: the manifest's check says so.
+                codes.push(code as u32);
+            }
+        }
+    }
+
+    /// Ends the phrase if it is whole, and begins the next.
+    pub(crate) fn settle(&mut self, decoder: &mut Decoder, manifest: &Manifest) -> Result<()> {
+        let total = self.total();
+        if self.step() + 1 < self.end {
+            if !self.job.has_a_choice() {
+                self.job.progress.codes(self.step() + 1, total);
+            }
+            return Ok(());
+        }
+        let dances = std::mem::take(&mut self.dances);
+        if self.job.has_a_choice() {
+            let mut judge = Judge {
+                beats: &self.job.beats,
+                decoder,
+                manifest,
+                cancel: &self.job.cancel,
+            };
+            let codes: Vec<&Codes> = dances.iter().map(|dance| &dance.codes).collect();
+            let settled = self.settled.upper.len();
+            let verdicts = judge.judge(&codes, settled, self.end == total)?;
+            for (verdict, dance) in verdicts.into_iter().zip(dances) {
+                self.candidates.consider(verdict, dance.codes);
+            }
+            if self.candidates.goes_on(self.job.candidates) {
+                self.begin_candidates();
+                return Ok(());
+            }
+            if let Some(best) = std::mem::take(&mut self.candidates).into_best() {
+                self.settled = best;
+            }
+        } else if let Some(dance) = dances.into_iter().next() {
+            self.settled = dance.codes;
+            self.sampler = dance.sampler;
+        }
+        self.phrases += 1;
+        self.job.progress.codes(self.end, total);
+        if !self.has_all_codes() {
+            self.begin_phrase();
+        }
+        Ok(())
+    }
+
+    /// Decodes the next chunk of frames, if its codes are settled.
+    pub(crate) fn decode(&mut self, decoder: &mut Decoder, manifest: &Manifest) -> Result<bool> {
+        self.chunks
+            .advance(decoder, &self.settled, manifest, &self.job.cancel)
+            .map_err(of_model)
+    }
+
+    /// Whether all frames are decoded.
+    pub(crate) fn is_complete(&self) -> bool {
+        self.chunks.is_complete()
+    }
+
+    /// The job, its codes, and the motion in the manifest's frame.
+    pub(crate) fn into_parts(self) -> (Job, Codes, ndarray::Array2<f32>) {
+        (self.job, self.settled, self.chunks.into_motion())
+    }
+
+    /// Whether nobody wants it any more.
+    pub(crate) fn cancel(&self) -> &CancelToken {
+        &self.job.cancel
+    }
+}
+
+/// Codes with their rows of music.
+fn steps<'a>(
+    codes: &'a Codes,
+    music: ArrayView2<'a, f32>,
+    range: std::ops::Range<usize>,
+) -> Steps<'a> {
+    Steps {
+        upper: codes.upper.get(range.clone()).unwrap_or_default(),
+        lower: codes.lower.get(range.clone()).unwrap_or_default(),
+        music: music.slice_axis_move(Axis(0), Slice::from(range.start + 1..range.end + 1)),
+    }
+}
+
+/// The start pair: given codes win; the rest is drawn as a pair from the manifest's list, or from
+/// the whole vocabulary when it has none. Both numbers are drawn always, so that giving one half
+/// does not change the dance's other draws.
+fn start_codes(given: [Option<u32>; 2], manifest: &Manifest, sampler: &mut Sampler) -> [u32; 2] {
+    let vocabulary = manifest.vocabulary;
+    let drawn = match manifest.start_codes.as_slice() {
+        [] => [
+            sampler.uniform(vocabulary.upper) as u32,
+            sampler.uniform(vocabulary.lower) as u32,
+        ],
+        pairs => pairs
+            .get(sampler.uniform(pairs.len()))
+            .copied()
+            .unwrap_or_default(),
+    };
+    [given[0].unwrap_or(drawn[0]), given[1].unwrap_or(drawn[1])]
+}

@@ -1,0 +1,155 @@
+//! Recordings' codes beside their songs, and what a model foretells of them.
+
+use std::path::Path;
+
+use bailando::{
+    CancelToken,
+    model::{Gpt, Logits, ModelDirectory, ModelError, Steps},
+};
+use ndarray::{Array2, ArrayView2, Axis, Slice};
+
+use crate::{
+    data::{FeatureCache, MusicLibrary, Portion, Song, SplitKind, crop_starts, rows_beside},
+    encode::{EncodeError, columns},
+};
+
+/// A recording's codes beside one of its songs.
+pub(crate) struct Pair {
+    pub(crate) dance: usize,
+    pub(crate) codes: [Vec<u32>; 2],
+    pub(crate) rows: Array2<f32>,
+    pub(crate) bpm: Option<f64>,
+}
+
+/// All pairs of a portion, as the model encodes and hears them.
+pub(crate) fn pairs<S: SplitKind>(
+    portion: &Portion<S>,
+    directory: &ModelDirectory,
+    cache: Option<&Path>,
+) -> Result<Vec<Pair>, EncodeError> {
+    let manifest = directory.manifest();
+    let cache = FeatureCache::open_or_default(cache)?;
+    let features = &manifest.features;
+    let mut library =
+        MusicLibrary::new(cache, features.profile).with_count_periods(&features.count_periods);
+    let mut encoder = directory.encoder(1)?;
+    let cancel = CancelToken::new();
+    let mut pairs = Vec::new();
+    for (place, dance) in portion.dances().iter().enumerate() {
+        let motion = dance.motion(portion.skeleton())?;
+        let columns = columns(&motion, manifest.motion_frame)?;
+        let (upper, lower) = encoder.encode(columns.view(), &cancel)?;
+        for song in dance.songs() {
+            let Some(music) = &song.music else { continue };
+            pairs.push(Pair {
+                dance: place,
+                codes: [upper.clone(), lower.clone()],
+                rows: library.conditioning(music, 0)?,
+                bpm: bpm(song),
+            });
+        }
+    }
+    if pairs.is_empty() {
+        return Err(EncodeError::NoMusic);
+    }
+    Ok(pairs)
+}
+
+/// As the data say, else of its beats.
+fn bpm(song: &Song) -> Option<f64> {
+    let of_beats = || {
+        let (first, last) = (song.grid_beats_s.first()?, song.grid_beats_s.last()?);
+        Some(60.0 * (song.grid_beats_s.len() - 1) as f64 / (last - first))
+    };
+    let bpm = song.bpm.or_else(of_beats);
+    bpm.filter(|bpm| bpm.is_finite() && *bpm > 0.0)
+}
+
+/// Foretells codes from the true ones before them, in windows of the whole block.
+pub(crate) struct Listener {
+    gpt: Gpt,
+    block: usize,
+}
+
+impl Listener {
+    pub(crate) fn open(directory: &ModelDirectory) -> Result<Self, ModelError> {
+        Ok(Self {
+            gpt: directory.gpt(1)?,
+            block: directory.manifest().gpt.block,
+        })
+    }
+
+    /// Scores of every window, as far as rows go, beside the codes that really came.
+    pub(crate) fn foretold<'pair>(
+        &mut self,
+        pair: &'pair Pair,
+        rows: ArrayView2<'_, f32>,
+    ) -> Result<Vec<(Logits, [&'pair [u32]; 2])>, ModelError> {
+        let (block, cancel) = (self.block, CancelToken::new());
+        let [upper, lower] = &pair.codes;
+        // A window's last code is foretold only, and needs no row.
+        let codes = upper
+            .len()
+            .saturating_sub(1)
+            .min(rows.nrows().saturating_sub(1));
+        let windows = crop_starts(codes, block, block).into_iter().map(|start| {
+            let window = start..start + block;
+            let targets = start + 1..start + block + 1;
+            let steps = Steps {
+                upper: &upper[window.clone()],
+                lower: &lower[window.clone()],
+                music: rows.slice_axis(Axis(0), Slice::from(rows_beside(window))),
+            };
+            let mut cache = self.gpt.empty_cache()?;
+            let logits = self.gpt.run(steps, &mut cache, &cancel)?;
+            Ok((logits, [&upper[targets.clone()], &lower[targets]]))
+        });
+        windows.collect()
+    }
+
+    /// Cross-entropies of every code that is foretold, upper and lower half added up.
+    pub(crate) fn entropies(
+        &mut self,
+        pair: &Pair,
+        rows: ArrayView2<'_, f32>,
+    ) -> Result<Vec<f64>, ModelError> {
+        let windows = self.foretold(pair, rows)?.into_iter();
+        let entropies = windows.flat_map(|(logits, [upper, lower])| {
+            let upper = cross_entropies(&logits.upper, upper);
+            let lower = cross_entropies(&logits.lower, lower);
+            upper
+                .into_iter()
+                .zip(lower)
+                .map(|(upper, lower)| upper + lower)
+        });
+        Ok(entropies.collect())
+    }
+}
+
+/// `-log p(code)` by row.
+pub(crate) fn cross_entropies(logits: &Array2<f32>, codes: &[u32]) -> Vec<f64> {
+    let rows = logits.rows().into_iter().zip(codes);
+    rows.map(|(row, &code)| {
+        let highest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let below = |value: f32| f64::from(value - highest);
+        let total: f64 = row.iter().map(|&value| below(value).exp()).sum();
+        total.ln() - below(row[code as usize])
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_logits_cost_the_logarithm_of_the_vocabulary() {
+        let logits = Array2::from_elem((2, 8), 3.0);
+        for entropy in cross_entropies(&logits, &[0, 7]) {
+            assert!((entropy - 8_f64.ln()).abs() < 1e-12);
+        }
+        let sure = Array2::from_shape_vec((1, 2), vec![100.0, 0.0]).unwrap();
+        assert!(cross_entropies(&sure, &[0])[0] < 1e-9);
+        assert!((cross_entropies(&sure, &[1])[0] - 100.0).abs() < 1e-9);
+    }
+}
