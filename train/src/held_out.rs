@@ -65,6 +65,9 @@ fn bpm(song: &Song) -> Option<f64> {
     bpm.filter(|bpm| bpm.is_finite() && *bpm > 0.0)
 }
 
+/// Scores of a window's codes, and the upper and lower codes that really came.
+pub(crate) type Foretold<'pair> = (Logits, [&'pair [u32]; 2]);
+
 /// Foretells codes from the true ones before them, in windows of the whole block.
 pub(crate) struct Listener {
     gpt: Gpt,
@@ -84,7 +87,7 @@ impl Listener {
         &mut self,
         pair: &'pair Pair,
         rows: ArrayView2<'_, f32>,
-    ) -> Result<Vec<(Logits, [&'pair [u32]; 2])>, ModelError> {
+    ) -> Result<Vec<Foretold<'pair>>, ModelError> {
         let (block, cancel) = (self.block, CancelToken::new());
         let [upper, lower] = &pair.codes;
         // A window's last code is foretold only, and needs no row.
@@ -92,7 +95,7 @@ impl Listener {
             .len()
             .saturating_sub(1)
             .min(rows.nrows().saturating_sub(1));
-        let windows = crop_starts(codes, block, block).into_iter().map(|start| {
+        let windows = crop_starts(codes, block, block).map(|start| {
             let window = start..start + block;
             let targets = start + 1..start + block + 1;
             let steps = Steps {

@@ -1,6 +1,11 @@
 //! Dances that share the model's steps come out as if each were alone.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::print_stdout,
+    reason = "helpers of tests: failing loudly is their job"
+)]
 
 mod common;
 
