@@ -11,9 +11,9 @@ use rand_chacha::{
 use serde::Serialize;
 
 use crate::{
-    data::{Dataset, OpenOptions, Portion, Split, SplitKind},
+    data::{Portion, Split, SplitKind},
     encode::EncodeError,
-    held_out::{Listener, cross_entropies, pairs},
+    held_out::{Listener, Recordings, cross_entropies, pairs},
 };
 
 /// What to compare.
@@ -23,14 +23,8 @@ pub struct CompareOptions {
     pub original: PathBuf,
     /// Model directory of the other.
     pub model: PathBuf,
-    /// Data folder of any layout, with songs.
-    pub data: PathBuf,
-    /// Folder of the songs, where they are kept apart.
-    pub audio: Option<PathBuf>,
-    /// Folder of music features; none: the usual one.
-    pub cache: Option<PathBuf>,
-    /// Which split.
-    pub split: Split,
+    /// What it is asked about.
+    pub recordings: Recordings,
 }
 
 /// Two models beside each other, true codes given before.
@@ -81,11 +75,8 @@ impl fmt::Display for Comparison {
 /// # Errors
 /// [`EncodeError`]: the data, a model, or a recording that cannot be encoded.
 pub fn compare(options: &CompareOptions) -> Result<Comparison, EncodeError> {
-    let open = OpenOptions {
-        audio: options.audio.clone(),
-    };
-    let dataset = Dataset::open(&options.data, &open)?;
-    match options.split {
+    let dataset = options.recordings.open()?;
+    match options.recordings.split {
         Split::Train => measure(&dataset.training()?, options),
         Split::Test => measure(&dataset.evaluation()?, options),
     }
@@ -97,7 +88,7 @@ fn measure<S: SplitKind>(
 ) -> Result<Comparison, EncodeError> {
     let original = ModelDirectory::open(&options.original)?;
     let model = ModelDirectory::open(&options.model)?;
-    let pairs = pairs(portion, &original, options.cache.as_deref())?;
+    let pairs = pairs(portion, &original, options.recordings.cache.as_deref())?;
     let mut listeners = [Listener::open(&original)?, Listener::open(&model)?];
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut sums = Sums::default();

@@ -1,6 +1,6 @@
 //! Recordings' codes beside their songs, and what a model foretells of them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bailando::{
     CancelToken,
@@ -9,9 +9,34 @@ use bailando::{
 use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use crate::{
-    data::{FeatureCache, MusicLibrary, Portion, Song, SplitKind, crop_starts, rows_beside},
+    data::{
+        Dataset, FeatureCache, MusicLibrary, OpenOptions, Portion, Song, Split, SplitKind,
+        crop_starts, rows_beside,
+    },
     encode::{EncodeError, columns},
 };
+
+/// The recordings of a data folder that models are asked about.
+#[derive(Clone, Debug)]
+pub struct Recordings {
+    /// Data folder of any layout, with songs.
+    pub data: PathBuf,
+    /// Folder of the songs, where they are kept apart.
+    pub audio: Option<PathBuf>,
+    /// Folder of music features; none: the usual one.
+    pub cache: Option<PathBuf>,
+    /// Which split.
+    pub split: Split,
+}
+
+impl Recordings {
+    pub(crate) fn open(&self) -> Result<Dataset, EncodeError> {
+        let open = OpenOptions {
+            audio: self.audio.clone(),
+        };
+        Ok(Dataset::open(&self.data, &open)?)
+    }
+}
 
 /// A recording's codes beside one of its songs.
 pub(crate) struct Pair {

@@ -11,7 +11,7 @@ pub mod compare;
 pub mod data;
 pub mod encode;
 pub mod export;
-mod held_out;
+pub mod held_out;
 pub mod import;
 pub mod music_gap;
 pub mod nn;

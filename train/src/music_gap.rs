@@ -8,9 +8,9 @@ use ndarray::{Axis, Slice};
 use serde::Serialize;
 
 use crate::{
-    data::{Dataset, OpenOptions, Portion, Split, SplitKind},
+    data::{Portion, Split, SplitKind},
     encode::EncodeError,
-    held_out::{Listener, pairs},
+    held_out::{Listener, Recordings, pairs},
 };
 
 /// Counts of half a bar.
@@ -21,14 +21,8 @@ const HALF_BAR: f64 = 2.0;
 pub struct MusicGapOptions {
     /// Model directory.
     pub model: PathBuf,
-    /// Data folder of any layout, with songs.
-    pub data: PathBuf,
-    /// Folder of the songs, where they are kept apart.
-    pub audio: Option<PathBuf>,
-    /// Folder of music features; none: the usual one.
-    pub cache: Option<PathBuf>,
-    /// Which split.
-    pub split: Split,
+    /// What it is asked about.
+    pub recordings: Recordings,
 }
 
 /// Cross-entropies in nats a code, upper and lower half added up, true codes given before.
@@ -74,11 +68,8 @@ impl fmt::Display for MusicGap {
 /// # Errors
 /// [`EncodeError`]: the data, the model, or a recording that cannot be encoded.
 pub fn music_gap(options: &MusicGapOptions) -> Result<MusicGap, EncodeError> {
-    let open = OpenOptions {
-        audio: options.audio.clone(),
-    };
-    let dataset = Dataset::open(&options.data, &open)?;
-    match options.split {
+    let dataset = options.recordings.open()?;
+    match options.recordings.split {
         Split::Train => measure(&dataset.training()?, options),
         Split::Test => measure(&dataset.evaluation()?, options),
     }
@@ -89,7 +80,7 @@ fn measure<S: SplitKind>(
     options: &MusicGapOptions,
 ) -> Result<MusicGap, EncodeError> {
     let directory = ModelDirectory::open(&options.model)?;
-    let pairs = pairs(portion, &directory, options.cache.as_deref())?;
+    let pairs = pairs(portion, &directory, options.recordings.cache.as_deref())?;
     let manifest = directory.manifest();
     let rows_a_second = manifest.codes_per_second();
     let mut listener = Listener::open(&directory)?;

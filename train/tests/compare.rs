@@ -15,6 +15,7 @@ use bailando_train::{
     compare::{CompareOptions, Comparison, compare},
     data::Split,
     export::skeleton,
+    held_out::Recordings,
 };
 use common::imported;
 use testing::TestFolder;
@@ -29,10 +30,12 @@ fn compared(weights: WeightStorage) -> Comparison {
     let options = CompareOptions {
         original: original.path().join("model"),
         model: other.path().join("model"),
-        data: data.write().to_owned(),
-        audio: None,
-        cache: Some(cache.path().to_owned()),
-        split: Split::Train,
+        recordings: Recordings {
+            data: data.write().to_owned(),
+            audio: None,
+            cache: Some(cache.path().to_owned()),
+            split: Split::Train,
+        },
     };
     compare(&options).unwrap()
 }

@@ -16,6 +16,7 @@ use bailando_train::{
     data::Split,
     encode::EncodeError,
     export::skeleton,
+    held_out::Recordings,
     music_gap::{MusicGap, MusicGapOptions, music_gap},
 };
 use common::imported;
@@ -29,10 +30,12 @@ fn measured(data: &TestFolder) -> Result<MusicGap, EncodeError> {
     let cache = tempfile::tempdir().unwrap();
     music_gap(&MusicGapOptions {
         model: folder.path().join("model"),
-        data: data.write().to_owned(),
-        audio: None,
-        cache: Some(cache.path().to_owned()),
-        split: Split::Train,
+        recordings: Recordings {
+            data: data.write().to_owned(),
+            audio: None,
+            cache: Some(cache.path().to_owned()),
+            split: Split::Train,
+        },
     })
 }
 

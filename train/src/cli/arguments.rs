@@ -13,6 +13,7 @@ use crate::{
     data::{OpenOptions, Split, check::CheckOptions},
     encode::EncodeOptions,
     export::Description,
+    held_out::Recordings,
     import::ImportOptions,
     music_gap::MusicGapOptions,
     training::{Config, Limits},
@@ -83,13 +84,24 @@ pub(super) struct EncodeArguments {
 /// dance, and by its own song one count and half a bar early. Gaps of 0 mean that the model is deaf.
 #[derive(Args, Debug)]
 pub(super) struct MusicGapArguments {
-    /// Data folder of any layout, with songs
-    #[arg(value_name = "DIR")]
-    data: PathBuf,
-
     /// Model directory
     #[arg(long, default_value = "models/default", value_name = "DIR")]
     model_dir: PathBuf,
+
+    #[command(flatten)]
+    recordings: RecordingsArguments,
+
+    /// Print JSON
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
+/// The recordings that a model is asked about.
+#[derive(Args, Debug)]
+struct RecordingsArguments {
+    /// Data folder of any layout, with songs
+    #[arg(value_name = "DIR")]
+    data: PathBuf,
 
     /// Folder of the songs, where they are kept apart from the motions
     #[arg(long, value_name = "DIR")]
@@ -102,10 +114,6 @@ pub(super) struct MusicGapArguments {
     /// Which recordings
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
     split: SplitName,
-
-    /// Print JSON
-    #[arg(long)]
-    pub(super) json: bool,
 }
 
 /// Compare a quantised model with its original: equal codes and perplexity on recordings
@@ -121,21 +129,8 @@ pub(super) struct CompareArguments {
     #[arg(value_name = "MODEL")]
     model: PathBuf,
 
-    /// Data folder of any layout, with songs
-    #[arg(value_name = "DIR")]
-    data: PathBuf,
-
-    /// Folder of the songs, where they are kept apart from the motions
-    #[arg(long, value_name = "DIR")]
-    audio: Option<PathBuf>,
-
-    /// Folder of music features [default: the user's cache]
-    #[arg(long, value_name = "DIR")]
-    cache: Option<PathBuf>,
-
-    /// Which recordings
-    #[arg(long, value_enum, default_value_t = SplitName::Test)]
-    split: SplitName,
+    #[command(flatten)]
+    recordings: RecordingsArguments,
 
     /// Print JSON
     #[arg(long)]
@@ -406,6 +401,14 @@ impl From<MusicGapArguments> for MusicGapOptions {
     fn from(arguments: MusicGapArguments) -> Self {
         Self {
             model: arguments.model_dir,
+            recordings: arguments.recordings.into(),
+        }
+    }
+}
+
+impl From<RecordingsArguments> for Recordings {
+    fn from(arguments: RecordingsArguments) -> Self {
+        Self {
             data: arguments.data,
             audio: arguments.audio,
             cache: arguments.cache,
@@ -419,10 +422,7 @@ impl From<CompareArguments> for CompareOptions {
         Self {
             original: arguments.original,
             model: arguments.model,
-            data: arguments.data,
-            audio: arguments.audio,
-            cache: arguments.cache,
-            split: arguments.split.into(),
+            recordings: arguments.recordings.into(),
         }
     }
 }
