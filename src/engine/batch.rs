@@ -35,8 +35,10 @@ pub(crate) struct Batch {
 struct Seat {
     piece: Piece,
     reply: Reply,
+    /// Waiting, until it first found rows.
     queued: Duration,
-    started: Instant,
+    joined: Instant,
+    started: Option<Instant>,
     /// Took no step since it came in from the line.
     fresh: bool,
 }
@@ -90,7 +92,8 @@ impl Batch {
                 piece,
                 reply,
                 queued,
-                started: Instant::now(),
+                joined: Instant::now(),
+                started: None,
                 fresh: true,
             }),
             Err(error) => reply.send(Err(error)),
@@ -106,11 +109,17 @@ impl Batch {
     }
 
     fn leave_if_cancelled(&mut self) {
-        let wanted = |seat: &mut Seat| !seat.piece.cancel().is_cancelled();
-        self.line.retain_mut(wanted);
-        self.decoding.retain_mut(wanted);
-        let unwanted = |seat: &Seat| seat.piece.cancel().is_cancelled();
-        while let Some(place) = self.dancing.iter().position(unwanted) {
+        let stays = |seat: &Seat| {
+            let cancelled = seat.piece.cancel().is_cancelled();
+            if cancelled {
+                // The cancellation itself may not have come to say so yet.
+                seat.reply.send(Err(EngineError::Cancelled.into()));
+            }
+            !cancelled
+        };
+        self.line.retain(stays);
+        self.decoding.retain(stays);
+        while let Some(place) = self.dancing.iter().position(|seat| !stays(seat)) {
             self.take_out(place);
         }
     }
@@ -121,7 +130,12 @@ impl Batch {
         while let Some(next) = self.line.front() {
             let free = self.memory.rows() - self.rows_before(self.dancing.len());
             if next.piece.rows() <= free {
-                self.dancing.extend(self.line.pop_front());
+                let mut seat = self.line.pop_front();
+                if let Some(seat) = seat.as_mut().filter(|seat| seat.started.is_none()) {
+                    seat.queued += seat.joined.elapsed();
+                    seat.started = Some(Instant::now());
+                }
+                self.dancing.extend(seat);
                 continue;
             }
             let rests = |seat: &Seat| !seat.fresh && seat.piece.can_rest();
@@ -159,15 +173,16 @@ impl Batch {
                 .prime(&mut sessions.gpt, memory, first)
                 .map_err(of_model)
         });
-        let next: Vec<_> = self
-            .dancing
-            .iter()
-            .flat_map(|seat| seat.piece.next_steps())
-            .collect();
-        if next.is_empty() {
+        if self.dancing.is_empty() {
             return;
         }
-        let logits = match self.sessions.gpt.step(&mut self.memory, &next) {
+        let stepped = guarded(|| {
+            let seats = self.dancing.iter();
+            let next: Vec<_> = seats.flat_map(|seat| seat.piece.next_steps()).collect();
+            let gpt = &mut self.sessions.gpt;
+            gpt.step(&mut self.memory, &next).map_err(of_model)
+        });
+        let logits = match stepped {
             Ok(logits) => logits,
             Err(error) => return self.fail_all(&error.to_string()),
         };
@@ -256,7 +271,7 @@ impl Batch {
                 codes,
                 motion: manifest.motion_frame.into_world(motion)?,
                 queued,
-                inference: started.elapsed(),
+                inference: started.map_or(Duration::ZERO, |started| started.elapsed()),
             })
         });
         reply.send(outcome);

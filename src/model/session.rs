@@ -38,6 +38,8 @@ impl Graph {
                 .with_inter_threads(1)?
                 .with_memory_pattern(keeps_memory)?
                 .with_intra_op_spinning(false)?
+                // Without VNNI, sums of unsigned times signed bytes saturate: unsigned ones do not.
+                .with_config_entry("session.x64quantprecision", "1")?
                 .with_execution_providers([ep::CPU::default()
                     .with_arena_allocator(keeps_memory)
                     .build()])?
