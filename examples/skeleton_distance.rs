@@ -29,6 +29,7 @@ fn main() -> Result<()> {
         batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
+        observer: std::sync::Arc::new(()),
     })?;
     let (mut as_written, mut root_fixed) = (Distances::default(), Distances::default());
     for seed in 0..seeds {

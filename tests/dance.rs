@@ -12,17 +12,23 @@
 #[allow(dead_code, reason = "other tests use the rest of it")]
 mod writers;
 
-use std::{collections::HashSet, path::Path, sync::OnceLock};
+use std::{
+    collections::HashSet,
+    path::Path,
+    sync::{Arc, Mutex, OnceLock},
+};
 
 use bailando::{
     CancelToken,
     audio::AudioLimits,
-    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
+    engine::{
+        Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions, Listener, Opening, Progress,
+    },
     evaluation::{Motion, speed},
-    format::{BvhUnit, Dance, JsonOptions, OutputFormat},
+    format::{BvhUnit, Dance, JsonOptions, OutputFormat, Tail},
     motion::{Positions, beat_nearness, dance_beats, forward, lower_foot_heights},
 };
-use ndarray::Axis;
+use ndarray::{Array2, Axis};
 use writers::wav16;
 
 const SONG_SECONDS: f64 = 30.0;
@@ -37,6 +43,7 @@ fn choreographer() -> &'static Choreographer {
             batch: DEFAULT_BATCH.get(),
             queue: 8,
             audio: AudioLimits::default(),
+            observer: std::sync::Arc::new(()),
         })
         .unwrap()
     })
@@ -262,6 +269,148 @@ fn guidance_of_1_is_the_model_itself_and_more_is_another_dance() {
     let more = guided(Some(4.0));
     assert_ne!(own, more);
     assert_eq!(more, guided(Some(4.0)));
+}
+
+/// Keeps all that it hears.
+#[derive(Default)]
+struct Recorder {
+    opening: Mutex<Option<Opening>>,
+    motion: Mutex<Vec<Array2<f32>>>,
+}
+
+impl Progress for Recorder {}
+
+impl Listener for Recorder {
+    fn opened(&self, opening: Opening) {
+        *self.opening.lock().unwrap() = Some(opening);
+    }
+
+    fn frames(&self, motion: Array2<f32>) {
+        self.motion.lock().unwrap().push(motion);
+    }
+}
+
+#[test]
+fn a_stream_is_the_dance_in_pieces() {
+    for fps in [60, 30] {
+        let options = GenerationOptions {
+            seed: Some(5),
+            fps,
+            music: true,
+            ..GenerationOptions::default()
+        };
+        let cancel = CancelToken::new();
+        let whole = choreographer()
+            .generate(fixture("demo.ogg").into(), &options, &cancel)
+            .unwrap();
+        let recorder = Arc::new(Recorder::default());
+        let listener = Arc::clone(&recorder) as Arc<dyn Listener>;
+        let ending = choreographer()
+            .stream(fixture("demo.ogg").into(), &options, &cancel, listener)
+            .unwrap();
+        assert_eq!(ending.codes, whole.codes);
+        // Chunks of other lengths differ in the last bits.
+        let tail = whole.tail.unwrap();
+        assert_eq!(ending.tail.codes, tail.codes);
+        let places = ending.tail.place.iter().zip(tail.place);
+        assert!(places.into_iter().all(|(a, b)| (a - b).abs() < 1e-3));
+        assert!((ending.tail.facing - tail.facing).abs() < 1e-3);
+        let mut opening = recorder.opening.lock().unwrap().take().unwrap();
+        assert_eq!(opening.frames, whole.positions.dim().0);
+        assert_eq!(opening.music, whole.music);
+        let chunks = recorder.motion.lock().unwrap();
+        assert!(chunks.len() > 2, "{}", chunks.len());
+        let mut heights = Vec::new();
+        let mut next = 0;
+        for chunk in chunks.iter().map(Some).chain([None]) {
+            let part = match chunk {
+                Some(rows) => opening.finisher.push(rows.view()),
+                None => opening.finisher.end(),
+            };
+            for pose in part.unwrap().positions.outer_iter() {
+                let wanted = whole.positions.index_axis(Axis(0), next);
+                for (index, (a, b)) in pose.iter().zip(wanted).enumerate() {
+                    match index % 3 {
+                        1 => heights.push((a - b).abs()),
+                        _ => assert!((a - b).abs() < 1e-3, "frame {next}: {a} {b}"),
+                    }
+                }
+                next += 1;
+            }
+        }
+        assert_eq!(next, opening.frames);
+        let furthest = heights.iter().copied().fold(0.0, f32::max);
+        println!("{fps} fps: heights of the stream differ by {furthest:.4} m at most");
+        assert!(furthest < 0.03, "{furthest} m");
+    }
+}
+
+#[test]
+fn a_dance_goes_on_where_another_ended() {
+    let part = |offset_s: f64, continue_from: Option<Tail>| {
+        let options = GenerationOptions {
+            seed: Some(8),
+            continue_from,
+            range: bailando::audio::AudioRange {
+                offset_s,
+                duration_s: Some(8.0),
+            },
+            ..GenerationOptions::default()
+        };
+        choreographer()
+            .generate(fixture("demo.ogg").into(), &options, &CancelToken::new())
+            .unwrap()
+    };
+    let first = part(0.0, None);
+    // Over the wire and back.
+    let tail = first.tail.clone().unwrap().to_text().parse().unwrap();
+    let second = part(8.0, Some(tail));
+    assert_eq!(second.positions.dim(), first.positions.dim());
+    let (last, next) = (
+        first
+            .positions
+            .index_axis(Axis(0), first.positions.dim().0 - 1),
+        second.positions.index_axis(Axis(0), 0),
+    );
+    let seam = last.outer_iter().zip(next.outer_iter());
+    let furthest = seam
+        .map(|(a, b)| distance([a[0], a[1], a[2]], [b[0], b[1], b[2]]))
+        .fold(0.0, f32::max);
+    let steps = first.positions.axis_windows(Axis(0), 2).into_iter();
+    let fastest = steps
+        .flat_map(|two| {
+            let joints = 0..two.dim().1;
+            let at = |frame: usize, joint: usize| [0, 1, 2].map(|axis| two[[frame, joint, axis]]);
+            joints
+                .map(|joint| distance(at(0, joint), at(1, joint)))
+                .collect::<Vec<_>>()
+        })
+        .fold(0.0, f32::max);
+    println!("seam {furthest:.3} m, fastest step inside {fastest:.3} m");
+    assert!(furthest < fastest + 0.02, "{furthest} {fastest}");
+    let elsewhere = part(8.0, None);
+    assert_ne!(second.codes, elsewhere.codes);
+    // And what a tail tells of another model is refused.
+    let foreign = Tail::new("00000000", first.codes.clone(), [0.0; 2], 0.0);
+    let options = GenerationOptions {
+        continue_from: Some(foreign),
+        ..GenerationOptions::default()
+    };
+    let refused = choreographer().check(&options).unwrap_err();
+    assert!(refused.to_string().contains("another model"), "{refused}");
+}
+
+#[test]
+fn a_pair_of_codes_is_a_pose_that_stands() {
+    let pose = choreographer().pose(3, 7).unwrap();
+    assert_eq!(pose.dim(), (32, 24, 3));
+    let skeleton = &choreographer().manifest().skeleton;
+    assert!(
+        lower_foot_heights(&pose, skeleton)
+            .iter()
+            .all(|h| h.abs() < 0.1)
+    );
+    assert!(choreographer().pose(u32::MAX, 0).is_err());
 }
 
 /// Mean nearness of the demo song's beats to the dance's (Eq. 15), over a few seeds.

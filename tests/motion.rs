@@ -12,10 +12,12 @@ mod common;
 mod motion_support;
 
 use bailando::motion::{
-    FRAME_RATES, FinishOptions, InverseKinematics, Positions, STANDING_HEIGHT, Skeleton, finish,
-    floor_correction, forward, integrate_root, lower_foot_heights,
+    Animation, FRAME_RATES, FinishOptions, Finished, Finisher, InverseKinematics, Positions,
+    STANDING_HEIGHT, Skeleton, finish, floor_correction, forward, integrate_root,
+    lower_foot_heights,
 };
 use motion_support::{decoded_from, distances, fixture, recordings, skeleton};
+use ndarray::Axis;
 
 /// ARCHITECTURE section 5.
 const GOLDEN_TOLERANCE: f32 = 2e-5;
@@ -131,6 +133,69 @@ fn drifting_recordings_are_put_back_on_the_floor() {
             let done = finish(decoded.view(), &skeleton(), &options).unwrap();
             let label = format!("{} {name} at {fps} fps", path.display());
             assert_stands(&done.positions, &skeleton(), fps, 0.02, &label);
+        }
+    }
+}
+
+/// The dance of `decoded`, finished in pieces of so many frames.
+fn in_pieces(decoded: &ndarray::Array2<f32>, options: &FinishOptions, piece: usize) -> Finished {
+    let mut finisher = Finisher::new(&skeleton(), options).unwrap();
+    let mut done: Vec<Finished> = decoded
+        .axis_chunks_iter(Axis(0), piece)
+        .map(|rows| finisher.push(rows).unwrap())
+        .collect();
+    done.push(finisher.end().unwrap());
+    let parts: Vec<_> = done
+        .iter()
+        .filter(|part| !part.positions.is_empty())
+        .map(|part| part.positions.view())
+        .collect();
+    Finished {
+        positions: ndarray::concatenate(Axis(0), &parts).unwrap(),
+        animation: Animation {
+            fps: options.fps,
+            root: done
+                .iter()
+                .flat_map(|part| part.animation.root.clone())
+                .collect(),
+            rotations: done
+                .iter()
+                .flat_map(|part| part.animation.rotations.clone())
+                .collect(),
+        },
+        source: done[0].source,
+    }
+}
+
+#[test]
+fn a_motion_in_pieces_is_the_whole_but_for_millimetres_of_height() {
+    let Some(path) = common::shared("model/bootstrap/demo_decode_hop15.npy") else {
+        return;
+    };
+    let decoded: ndarray::Array2<f32> = ndarray_npy::read_npy(path).unwrap();
+    for fps in FRAME_RATES {
+        let options = FinishOptions {
+            fps,
+            ..FinishOptions::default()
+        };
+        let whole = finish(decoded.view(), &skeleton(), &options).unwrap();
+        for piece in [64, 191, 1_024] {
+            let pieces = in_pieces(&decoded, &options, piece);
+            assert_eq!(pieces.source, whole.source);
+            assert_eq!(pieces.positions.dim(), whole.positions.dim());
+            assert_eq!(pieces.animation.rotations, whole.animation.rotations);
+            let mut furthest = 0.0_f32;
+            for ((place, a), b) in pieces.positions.indexed_iter().zip(&whole.positions) {
+                let apart = (a - b).abs();
+                match place.2 {
+                    1 => furthest = furthest.max(apart),
+                    _ => assert!(apart < 1e-5, "{fps} fps, {piece}: {place:?} {apart} m"),
+                }
+            }
+            println!("{fps} fps in pieces of {piece}: heights differ by {furthest:.4} m at most");
+            assert!(furthest < 0.02, "{fps} fps, {piece}: {furthest} m");
+            let label = format!("{fps} fps in pieces of {piece}");
+            assert_stands(&pieces.positions, &skeleton(), fps, 0.02, &label);
         }
     }
 }

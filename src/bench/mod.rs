@@ -63,6 +63,7 @@ pub fn run(options: &BenchOptions, say: &dyn Fn(&str)) -> Result<Bench> {
             batch: DEFAULT_BATCH.get(),
             queue: 64,
             audio: AudioLimits::default(),
+            observer: std::sync::Arc::new(()),
         })
     });
     let choreographer = choreographer?;

@@ -13,7 +13,7 @@ use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange},
     engine::{Choreographer, EngineConfig, GenerationOptions, MAX_CANDIDATES},
-    format::{Codes, Dance},
+    format::{Codes, Dance, Tail},
     model::WindowKind,
     motion,
 };
@@ -46,6 +46,9 @@ pub(super) struct GenerateArgs {
     threads: Option<NonZeroUsize>,
     #[command(flatten)]
     sampling: SamplingArgs,
+    /// The `tail` in the JSON of an earlier dance, from whose end the new one goes on
+    #[arg(long, value_name = "TAIL")]
+    continue_from: Option<Tail>,
     #[command(flatten)]
     song: SongArgs,
     #[command(flatten)]
@@ -165,6 +168,7 @@ impl GenerateArgs {
                 max_seconds: self.song.max_audio_seconds,
                 ..AudioLimits::default()
             },
+            observer: std::sync::Arc::new(()),
         })?)
     }
 
@@ -188,6 +192,7 @@ impl GenerateArgs {
             candidates,
             start_upper,
             start_lower,
+            continue_from: self.continue_from.clone(),
             window: window.map(|window| match window {
                 WindowArg::Hop => WindowKind::Hop,
                 WindowArg::Sliding => WindowKind::Sliding,

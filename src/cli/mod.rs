@@ -32,7 +32,7 @@ const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed, 2 wrong use of the comma
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Run the HTTP server
-    Serve(serve::ServeArgs),
+    Serve(Box<serve::ServeArgs>),
     /// Make dances from audio files, or codes and positions from feature rows
     Generate(Box<generate::GenerateArgs>),
     /// Write a song's music features as a NumPy file
@@ -55,7 +55,7 @@ struct Usage(String);
 /// Parses the command line, runs it and says how it went.
 pub(crate) fn run() -> ExitCode {
     let result = match Cli::parse().command {
-        Command::Serve(args) => serve::run(args),
+        Command::Serve(args) => serve::run(&args),
         Command::Generate(args) => generate::run(&args),
         Command::Features(args) => features::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),

@@ -12,8 +12,12 @@ pub(super) struct ServeArgs {
     config: ServerConfig,
 }
 
-pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
-    server::init_logging(args.config.json_output);
+pub(super) fn run(args: &ServeArgs) -> anyhow::Result<()> {
+    // Traces that are not sent yet go when this is dropped.
+    let _telemetry = server::init_telemetry(
+        args.config.json_output,
+        args.config.otlp_endpoint.as_deref(),
+    )?;
     match server::start(&args.config) {
         Err(ServeError::Limits(contradiction)) => Err(Usage(contradiction.to_string()).into()),
         ended => ended.context("the server failed"),

@@ -4,20 +4,23 @@
 use std::{
     collections::VecDeque,
     panic::{self, AssertUnwindSafe},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use crossbeam_channel::Sender;
+use ndarray::Array2;
 
 use super::{
     EngineError,
     error::of_model,
+    observer::Observer,
     piece::Piece,
     progress::Stage,
     sessions::Sessions,
     worker::{Job, Outcome},
 };
-use crate::{Result, model::GptMemory};
+use crate::{CancelToken, Result, format::Codes, model::GptMemory};
 
 /// Requests in the making, and the model that makes them.
 pub(crate) struct Batch {
@@ -29,6 +32,7 @@ pub(crate) struct Batch {
     line: VecDeque<Seat>,
     /// Have all their codes, but not all their frames.
     decoding: VecDeque<Seat>,
+    observer: Arc<dyn Observer>,
 }
 
 /// A request and who waits for it.
@@ -62,13 +66,14 @@ impl Drop for Reply {
 
 impl Batch {
     /// Nothing to do yet; at most `rows` dances share a step.
-    pub(crate) fn new(sessions: Sessions, rows: usize) -> Self {
+    pub(crate) fn new(sessions: Sessions, rows: usize, observer: Arc<dyn Observer>) -> Self {
         Self {
             memory: sessions.gpt.memory(rows),
             sessions,
             dancing: Vec::new(),
             line: VecDeque::new(),
             decoding: VecDeque::new(),
+            observer,
         }
     }
 
@@ -86,7 +91,7 @@ impl Batch {
     /// Lets a request join after it waited for `queued`.
     pub(crate) fn join(&mut self, job: Job, reply: Reply, queued: Duration) {
         let manifest = self.sessions.directory.manifest();
-        let begun = guarded(|| Ok(Piece::new(job, manifest)));
+        let begun = guarded(&*self.observer, || Ok(Piece::new(job, manifest)));
         match begun {
             Ok(piece) => self.line.push_back(Seat {
                 piece,
@@ -100,6 +105,20 @@ impl Batch {
         }
     }
 
+    /// Decodes a few codes, in world directions.
+    pub(crate) fn show(&mut self, codes: &Codes) -> Result<Array2<f32>> {
+        let sessions = &mut self.sessions;
+        guarded(&*self.observer, || {
+            let never = CancelToken::new();
+            let motion = sessions
+                .decoder
+                .decode(&codes.upper, &codes.lower, &never)
+                .map_err(of_model)?;
+            let frame = sessions.directory.manifest().motion_frame;
+            Ok(frame.into_world(motion)?)
+        })
+    }
+
     /// One step of every dance that has rows, and a chunk of frames for each that has the codes.
     pub(crate) fn round(&mut self) {
         self.leave_if_cancelled();
@@ -110,7 +129,7 @@ impl Batch {
 
     fn leave_if_cancelled(&mut self) {
         let stays = |seat: &Seat| {
-            let cancelled = seat.piece.cancel().is_cancelled();
+            let cancelled = seat.piece.job().cancel.is_cancelled();
             if cancelled {
                 // The cancellation itself may not have come to say so yet.
                 seat.reply.send(Err(EngineError::Cancelled.into()));
@@ -176,12 +195,15 @@ impl Batch {
         if self.dancing.is_empty() {
             return;
         }
-        let stepped = guarded(|| {
+        let started = Instant::now();
+        let stepped = guarded(&*self.observer, || {
             let seats = self.dancing.iter();
             let next: Vec<_> = seats.flat_map(|seat| seat.piece.next_steps()).collect();
             let gpt = &mut self.sessions.gpt;
             gpt.step(&mut self.memory, &next).map_err(of_model)
         });
+        let rows = self.rows_before(self.dancing.len());
+        self.observer.stepped(rows, started.elapsed());
         let logits = match stepped {
             Ok(logits) => logits,
             Err(error) => return self.fail_all(&error.to_string()),
@@ -210,8 +232,9 @@ impl Batch {
         let mut first = 0;
         for (place, seat) in self.dancing.iter_mut().enumerate() {
             let rows = seat.piece.rows();
-            let done =
-                guarded(|| work(&mut self.sessions, &mut self.memory, first, &mut seat.piece));
+            let done = guarded(&*self.observer, || {
+                work(&mut self.sessions, &mut self.memory, first, &mut seat.piece)
+            });
             if let Err(error) = done {
                 seat.reply.send(Err(error));
                 failed.push((place, first, rows));
@@ -238,7 +261,7 @@ impl Batch {
     fn decode(&mut self) {
         self.each(|sessions, _, _, piece| {
             let manifest = sessions.directory.manifest();
-            piece.decode(&mut sessions.decoder, manifest).map(drop)
+            piece.decode(&mut sessions.decoder, manifest)
         });
         for _ in 0..self.decoding.len() {
             let Some(mut seat) = self.decoding.pop_front() else {
@@ -246,17 +269,18 @@ impl Batch {
             };
             let sessions = &mut self.sessions;
             let manifest = sessions.directory.manifest();
-            let done = guarded(|| seat.piece.decode(&mut sessions.decoder, manifest));
+            let done = guarded(&*self.observer, || {
+                seat.piece.decode(&mut sessions.decoder, manifest)
+            });
             match done {
                 Err(error) => seat.reply.send(Err(error)),
-                Ok(_) if seat.piece.is_complete() => self.finish(seat),
-                Ok(_) => self.decoding.push_back(seat),
+                Ok(()) if seat.piece.is_complete() => self.finish(seat),
+                Ok(()) => self.decoding.push_back(seat),
             }
         }
     }
 
     fn finish(&self, seat: Seat) {
-        let manifest = self.sessions.directory.manifest();
         let Seat {
             piece,
             reply,
@@ -264,22 +288,19 @@ impl Batch {
             started,
             ..
         } = seat;
-        let outcome = guarded(|| {
+        let outcome = guarded(&*self.observer, || {
             piece.job().progress.stage(Stage::Motion);
-            let (_, codes, motion) = piece.into_parts();
-            Ok(Outcome {
-                codes,
-                motion: manifest.motion_frame.into_world(motion)?,
-                queued,
-                inference: started.map_or(Duration::ZERO, |started| started.elapsed()),
-            })
+            let inference = started.map_or(Duration::ZERO, |started| started.elapsed());
+            Ok(piece.into_outcome(queued, inference))
         });
         reply.send(outcome);
     }
 }
 
 /// A panic costs the request that it is about.
-fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
-    panic::catch_unwind(AssertUnwindSafe(work))
-        .unwrap_or_else(|_| Err(EngineError::Panicked.into()))
+fn guarded<T>(observer: &dyn Observer, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    panic::catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+        observer.panicked();
+        Err(EngineError::Panicked.into())
+    })
 }

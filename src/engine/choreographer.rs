@@ -2,33 +2,36 @@
 
 use std::{
     num::NonZeroUsize,
-    panic,
     path::PathBuf,
-    sync::{Arc, Mutex, PoisonError},
-    thread,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use bytes::Bytes;
-use ndarray::Array2;
+use ndarray::{Array2, Axis, Slice, concatenate};
 
 use super::{
-    EngineError, GenerationOptions, Progress, Stage,
+    EngineError, GenerationOptions, Listener, Observer, Opening, Progress, Stage,
+    ears::Ears,
     sampler::{Sampling, draw_seed},
     window::Window,
     worker::{Job, Outcome, Worker},
 };
 use crate::{
-    CancelToken, Error, Result,
-    audio::{self, AudioError, AudioLimits},
-    features::{FeatureExtractor, Profile, Rate, with_counts_of},
-    format::{Codes, Dance, MusicInfo, Timings},
+    CancelToken, Result,
+    audio::AudioLimits,
+    format::{Codes, Dance, MusicInfo, Tail, Timings},
     model::{Manifest, ModelDirectory},
-    motion::{self, FinishOptions},
+    motion::{self, FinishOptions, Finisher, Positions, PositionsSource},
 };
 
 /// Dances that share a step where nobody says otherwise: beyond it steps take longer in proportion.
 pub const DEFAULT_BATCH: NonZeroUsize = NonZeroUsize::MIN.saturating_add(15);
+/// Most pose codes in a tail, so that it fits into the value of an option.
+const LONGEST_TAIL: usize = 43;
+/// How often a pair is repeated to be looked at, and how many of these are shown: those in the middle, far
+/// from the zero padding at the ends.
+const REPEATS: (usize, usize) = (12, 4);
 
 /// What a [`Choreographer`] needs to start.
 #[derive(Clone, Debug)]
@@ -44,6 +47,8 @@ pub struct EngineConfig {
     pub queue: usize,
     /// What an upload may ask of the decoder.
     pub audio: AudioLimits,
+    /// Hears what the model's thread does.
+    pub observer: Arc<dyn Observer>,
 }
 
 /// Handle to a loaded model; clones share it.
@@ -57,9 +62,7 @@ struct Shared {
     directory: ModelDirectory,
     worker: Worker,
     batch: usize,
-    limits: AudioLimits,
-    conditioning: ExtractorPool,
-    beats: ExtractorPool,
+    ears: Ears,
 }
 
 /// Codes and motion from given feature rows, before anything is made of the motion.
@@ -78,6 +81,26 @@ pub struct RawDance {
     pub inference: Duration,
 }
 
+/// What is known of a dance behind its last frame.
+#[derive(Clone, Debug)]
+pub struct Ending {
+    /// The pose codes.
+    pub codes: Codes,
+    /// Where another dance can go on.
+    pub tail: Tail,
+    /// Wall time per stage.
+    pub timings: Timings,
+}
+
+/// What the model hears, and what callers are told of it.
+struct Song {
+    rows: Array2<f32>,
+    /// Frames of the beats; none where nobody needs them.
+    beats: Vec<usize>,
+    music: Option<MusicInfo>,
+    warnings: Vec<String>,
+}
+
 impl Choreographer {
     /// Loads the model directory and starts its thread.
     ///
@@ -91,17 +114,20 @@ impl Choreographer {
             config.threads.max(1),
             config.batch,
             config.queue,
+            Arc::clone(&config.observer),
         )?;
-        let profile = directory.manifest().features.profile;
+        let features = &directory.manifest().features;
+        let ears = Ears::new(
+            features.profile,
+            features.count_periods.clone(),
+            config.audio.clone(),
+        );
         Ok(Self {
             shared: Arc::new(Shared {
                 directory,
                 worker,
                 batch: config.batch,
-                limits: config.audio.clone(),
-                conditioning: ExtractorPool::new(Rate::Conditioning, profile),
-                // Beats for people are those of the current profile, whatever the model hears.
-                beats: ExtractorPool::new(Rate::Beats, Profile::Librosa011),
+                ears,
             }),
         })
     }
@@ -129,7 +155,14 @@ impl Choreographer {
     /// # Errors
     /// [`EngineError::Option`] names the first option that does not fit.
     pub fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
-        options.check(self.manifest(), self.shared.batch)
+        options.check(self.manifest(), self.shared.batch)?;
+        match &options.continue_from {
+            Some(tail) if !tail.is_of(self.model_sha256()) => Err(EngineError::Option {
+                name: "continue_from",
+                problem: "it comes from a dance of another model".into(),
+            }),
+            _ => Ok(()),
+        }
     }
 
     /// Generates one dance. Blocks: decoding and features run on the calling thread, the model on
@@ -157,37 +190,79 @@ impl Choreographer {
         cancel: &CancelToken,
         progress: Arc<dyn Progress>,
     ) -> Result<Dance> {
-        self.check(options)?;
         let mut timings = Timings::default();
-        progress.stage(Stage::Decoding);
-        let heard = timed(&mut timings.decode, || self.hear(audio, options, cancel))?;
-        progress.stage(Stage::Features);
-        let listened = timed(&mut timings.features, || {
-            self.listen(&heard, options, cancel)
+        let song = self.hear(audio, options, cancel, progress.as_ref(), &mut timings)?;
+        let seed = options.seed.map_or_else(draw_seed, Ok)?;
+        progress.stage(Stage::Generating);
+        let job = self.job(song.rows, song.beats, seed, options, cancel, progress);
+        let outcome = self.dance(job, &mut timings)?;
+        let finished = spent(&mut timings.motion, "motion", || {
+            let options = self.finish_options(options);
+            motion::finish(outcome.motion.view(), &self.manifest().skeleton, &options)
         })?;
-        let raw = self.dance(listened.rows, listened.beats_s, options, cancel, progress)?;
-        timings.queue = raw.queued;
-        timings.inference = raw.inference;
-        let finish = FinishOptions {
-            fps: options.fps,
-            root_motion: options.root_motion,
-            decoded_fps: self.manifest().fps,
-        };
-        let skeleton = &self.manifest().skeleton;
-        let finished = timed(&mut timings.motion, || {
-            motion::finish(raw.motion.view(), skeleton, &finish)
-        })?;
+        let tail = self.tail(&outcome, options);
         Ok(Dance {
             model: self.manifest().name.clone(),
-            seed: raw.seed,
-            skeleton: skeleton.clone(),
+            seed,
+            skeleton: self.manifest().skeleton.clone(),
             animation: finished.animation,
             positions: finished.positions,
             positions_source: finished.source,
-            codes: raw.codes,
-            music: listened.music,
+            codes: outcome.codes,
+            music: song.music,
             timings,
-            warnings: heard.warnings,
+            warnings: song.warnings,
+            tail: Some(tail),
+        })
+    }
+
+    /// Generates one dance and gives its motion to `listener` as it is decoded. Blocks as
+    /// [`Choreographer::generate`] does.
+    ///
+    /// # Errors
+    /// As [`Choreographer::generate`]; before the listener's opening, where the song or an option is at
+    /// fault.
+    pub fn stream(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        listener: Arc<dyn Listener>,
+    ) -> Result<Ending> {
+        let mut timings = Timings::default();
+        let song = self.hear(audio, options, cancel, listener.as_ref(), &mut timings)?;
+        let seed = options.seed.map_or_else(draw_seed, Ok)?;
+        let finish = self.finish_options(options);
+        let manifest = self.manifest();
+        let decoded = (song.rows.nrows() * manifest.frames_per_code) as u64;
+        let frames = (decoded * u64::from(finish.fps)).div_ceil(u64::from(finish.decoded_fps));
+        listener.opened(Opening {
+            model: manifest.name.clone(),
+            seed,
+            skeleton: manifest.skeleton.clone(),
+            fps: finish.fps,
+            frames: frames as usize,
+            positions_source: match finish.fps == finish.decoded_fps {
+                true => PositionsSource::Decoder,
+                false => PositionsSource::ForwardKinematics,
+            },
+            music: song.music,
+            timings,
+            warnings: song.warnings,
+            finisher: Finisher::new(&manifest.skeleton, &finish)?,
+        });
+        listener.stage(Stage::Generating);
+        let progress = Arc::clone(&listener) as Arc<dyn Progress>;
+        let job = self.job(song.rows, song.beats, seed, options, cancel, progress);
+        let job = Job {
+            listener: Some(listener),
+            ..job
+        };
+        let outcome = self.dance(job, &mut timings)?;
+        Ok(Ending {
+            tail: self.tail(&outcome, options),
+            codes: outcome.codes,
+            timings,
         })
     }
 
@@ -205,36 +280,110 @@ impl Choreographer {
         cancel: &CancelToken,
         progress: Arc<dyn Progress>,
     ) -> Result<RawDance> {
-        self.dance(rows, Vec::new(), options, cancel, progress)
+        self.check(options)?;
+        let seed = options.seed.map_or_else(draw_seed, Ok)?;
+        progress.stage(Stage::Generating);
+        let mut timings = Timings::default();
+        let job = self.job(rows, Vec::new(), seed, options, cancel, progress);
+        let outcome = self.dance(job, &mut timings)?;
+        Ok(RawDance {
+            seed,
+            codes: outcome.codes,
+            motion: outcome.motion,
+            queued: timings.queue,
+            inference: timings.inference,
+        })
     }
 
-    /// Codes and motion for rows, and beats in seconds where they are known.
-    fn dance(
+    /// What a pair of pose codes looks like: joints `[frames, joints, 3]`, metres, of the pair repeated, in
+    /// the middle of that (paper, Fig. 7). Blocks.
+    ///
+    /// # Errors
+    /// [`EngineError::Option`] for a code that is not in the vocabulary, [`EngineError::QueueFull`].
+    pub fn pose(&self, upper: u32, lower: u32) -> Result<Positions> {
+        let manifest = self.manifest();
+        GenerationOptions {
+            start_upper: Some(upper),
+            start_lower: Some(lower),
+            ..GenerationOptions::default()
+        }
+        .check(manifest, self.shared.batch)?;
+        let (repeats, shown) = REPEATS;
+        let codes = Codes {
+            upper: vec![upper; repeats],
+            lower: vec![lower; repeats],
+        };
+        let motion = self.shared.worker.decode(codes)?;
+        let first = (repeats - shown) / 2 * manifest.frames_per_code;
+        let middle = Slice::from(first..first + shown * manifest.frames_per_code);
+        let finish = self.finish_options(&GenerationOptions {
+            root_motion: false,
+            ..GenerationOptions::default()
+        });
+        let middle = motion.slice_axis(Axis(0), middle);
+        Ok(motion::finish(middle, &manifest.skeleton, &finish)?.positions)
+    }
+
+    /// The song as the model hears it.
+    fn hear(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        progress: &dyn Progress,
+        timings: &mut Timings,
+    ) -> Result<Song> {
+        self.check(options)?;
+        let candidates = options.candidates(self.manifest(), self.shared.batch);
+        let with_beats = options.music || candidates > 1;
+        let ears = &self.shared.ears;
+        progress.stage(Stage::Decoding);
+        let audio = spent(&mut timings.decode, "decode", || {
+            ears.decode(audio, options.range, with_beats, cancel)
+        })?;
+        progress.decoded(audio.duration_s);
+        progress.stage(Stage::Features);
+        let heard = spent(&mut timings.features, "features", || {
+            ears.listen(&audio, with_beats, cancel)
+        })?;
+        let fps = f64::from(self.manifest().fps);
+        let beats = heard.beats.as_ref();
+        Ok(Song {
+            rows: heard.rows,
+            beats: beats
+                .into_iter()
+                .flat_map(|beats| beats.seconds())
+                .map(|second| (second * fps).round() as usize)
+                .collect(),
+            music: beats.filter(|_| options.music).map(|beats| MusicInfo {
+                tempo_bpm: beats.tempo_bpm,
+                beats_s: beats.seconds().collect(),
+            }),
+            warnings: audio.warnings,
+        })
+    }
+
+    fn job(
         &self,
         rows: Array2<f32>,
-        beats_s: Vec<f64>,
+        beats: Vec<usize>,
+        seed: u64,
         options: &GenerationOptions,
         cancel: &CancelToken,
         progress: Arc<dyn Progress>,
-    ) -> Result<RawDance> {
-        self.check(options)?;
+    ) -> Job {
         let manifest = self.manifest();
-        check_rows(&rows, manifest.features.columns)?;
         let defaults = manifest.sampling;
-        let seed = options.seed.map_or_else(draw_seed, Ok)?;
-        progress.stage(Stage::Generating);
-        let job = Job {
+        let tail = options.continue_from.as_ref();
+        Job {
             music: rows,
             sampling: Sampling {
                 temperature: options.temperature.unwrap_or(defaults.temperature),
                 top_k: options.top_k.or(defaults.top_k),
             },
             guidance: options.guidance.unwrap_or(defaults.guidance),
-            candidates: options.candidates.unwrap_or(defaults.candidates),
-            beats: beats_s
-                .iter()
-                .map(|second| (second * f64::from(manifest.fps)).round() as usize)
-                .collect(),
+            candidates: options.candidates(manifest, self.shared.batch),
+            beats,
             seed,
             start: [options.start_upper, options.start_lower],
             window: Window::new(
@@ -242,137 +391,69 @@ impl Choreographer {
                 options.hop.unwrap_or(defaults.hop),
                 manifest.gpt.context,
             ),
+            history: tail.map_or_else(Codes::default, |tail| tail.codes.clone()),
+            facing: tail.map_or(0.0, |tail| tail.facing),
             progress,
+            listener: None,
             cancel: cancel.clone(),
-        };
-        let Outcome {
-            codes,
-            motion,
-            queued,
-            inference,
-        } = self.shared.worker.run(job)?;
-        Ok(RawDance {
-            seed,
-            codes,
-            motion,
-            queued,
-            inference,
-        })
+        }
     }
 
-    fn hear(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-    ) -> Result<audio::DecodedAudio> {
-        let both = [Rate::Conditioning.hz(), Rate::Beats.hz()];
-        let rates = if self.wants_beats(options) {
-            &both[..]
-        } else {
-            &both[..1]
-        };
-        audio::decode(audio, options.range, rates, &self.shared.limits, cancel).map_err(|error| {
-            match error {
-                AudioError::Cancelled => EngineError::Cancelled.into(),
-                other => Error::from(other),
+    fn dance(&self, mut job: Job, timings: &mut Timings) -> Result<Outcome> {
+        check_rows(&job.music, self.manifest().features.columns)?;
+        if let Some(leads) = job.lead_in() {
+            // The code that leads in stands before the first row, which nobody hears (ARCHITECTURE 3).
+            let first = job.music.slice_axis(Axis(0), Slice::from(..leads));
+            // Both have the same columns.
+            if let Ok(music) = concatenate(Axis(0), &[first, job.music.view()]) {
+                job.music = music;
             }
-        })
-    }
-
-    fn listen(
-        &self,
-        heard: &audio::DecodedAudio,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-    ) -> Result<Listened> {
-        let signal = |index: usize| heard.signals.get(index).map_or(&[][..], Vec::as_slice);
-        check_cancelled(cancel)?;
-        let rows = || {
-            let conditioning = &self.shared.conditioning;
-            conditioning.with(|extractor| extractor.extract(signal(0)))
-        };
-        if !self.wants_beats(options) {
-            return Ok(Listened {
-                rows: rows()?,
-                beats_s: Vec::new(),
-                music: None,
-            });
+            for beat in &mut job.beats {
+                *beat += leads * self.manifest().frames_per_code;
+            }
         }
-        let beats = || {
-            let beats = &self.shared.beats;
-            beats.with(|extractor| extractor.beats(signal(1)))
-        };
-        // The longer of the two on this thread; the other's panic goes on here.
-        let (rows, beats) = thread::scope(|scope| {
-            let rows = scope.spawn(rows);
-            let beats = beats();
-            (rows.join(), beats)
-        });
-        let rows = rows.unwrap_or_else(|panicked| panic::resume_unwind(panicked))?;
-        let beats = beats?;
-        check_cancelled(cancel)?;
-        let periods = &self.manifest().features.count_periods;
-        let beats_s: Vec<f64> = beats.seconds().collect();
-        Ok(Listened {
-            rows: with_counts_of(&beats, rows, periods),
-            music: options.music.then(|| MusicInfo {
-                tempo_bpm: beats.tempo_bpm,
-                beats_s: beats_s.clone(),
-            }),
-            beats_s,
-        })
+        let span = tracing::info_span!("inference").entered();
+        let outcome = self.shared.worker.run(job)?;
+        drop(span);
+        timings.queue = outcome.queued;
+        timings.inference = outcome.inference;
+        Ok(outcome)
     }
 
-    /// Whether the caller asks for beats, the model counts them, or candidates are chosen by them.
-    fn wants_beats(&self, options: &GenerationOptions) -> bool {
-        let manifest = self.manifest();
-        options.music
-            || !manifest.features.count_periods.is_empty()
-            || options.candidates.unwrap_or(manifest.sampling.candidates) > 1
-    }
-}
-
-struct Listened {
-    rows: Array2<f32>,
-    beats_s: Vec<f64>,
-    music: Option<MusicInfo>,
-}
-
-/// Feature extractors planned once and lent out, one per thread that needs one at a time.
-#[derive(Debug)]
-struct ExtractorPool {
-    rate: Rate,
-    profile: Profile,
-    idle: Mutex<Vec<FeatureExtractor>>,
-}
-
-impl ExtractorPool {
-    fn new(rate: Rate, profile: Profile) -> Self {
-        Self {
-            rate,
-            profile,
-            idle: Mutex::new(Vec::new()),
+    fn finish_options(&self, options: &GenerationOptions) -> FinishOptions {
+        FinishOptions {
+            fps: options.fps,
+            root_motion: options.root_motion,
+            decoded_fps: self.manifest().fps,
+            start: start_of(options),
         }
     }
 
-    /// Lends an extractor to `work`. One that saw a panic is not put back.
-    fn with<T>(&self, work: impl FnOnce(&mut FeatureExtractor) -> T) -> T {
-        let idle = || self.idle.lock().unwrap_or_else(PoisonError::into_inner);
-        let lent = idle().pop();
-        let mut extractor = lent.unwrap_or_else(|| FeatureExtractor::new(self.rate, self.profile));
-        let result = work(&mut extractor);
-        idle().push(extractor);
-        result
+    /// The end of a dance, and of the one that it goes on from where it is short itself.
+    fn tail(&self, outcome: &Outcome, options: &GenerationOptions) -> Tail {
+        let count = (self.manifest().decoder.receptive_codes + 1).min(LONGEST_TAIL);
+        let before = options.continue_from.as_ref().map(|tail| &tail.codes);
+        let half = |of: fn(&Codes) -> &Vec<u32>| -> Vec<u32> {
+            let before = before.map_or(&[][..], |codes| of(codes));
+            let all = before.iter().chain(of(&outcome.codes));
+            let length = before.len() + of(&outcome.codes).len();
+            all.skip(length.saturating_sub(count)).copied().collect()
+        };
+        let codes = Codes {
+            upper: half(|codes| &codes.upper),
+            lower: half(|codes| &codes.lower),
+        };
+        let [x, z] = start_of(options);
+        let [walked_x, walked_z] = outcome.walked;
+        let place = [x + walked_x, z + walked_z];
+        Tail::new(self.model_sha256(), codes, place, outcome.facing)
     }
 }
 
-fn check_cancelled(cancel: &CancelToken) -> Result<(), EngineError> {
-    if cancel.is_cancelled() {
-        Err(EngineError::Cancelled)
-    } else {
-        Ok(())
-    }
+/// Where the root starts on the floor.
+fn start_of(options: &GenerationOptions) -> [f32; 2] {
+    let tail = options.continue_from.as_ref();
+    tail.map_or([0.0; 2], |tail| tail.place)
 }
 
 fn check_rows(rows: &Array2<f32>, columns: usize) -> Result<(), EngineError> {
@@ -392,9 +473,10 @@ fn check_rows(rows: &Array2<f32>, columns: usize) -> Result<(), EngineError> {
     })
 }
 
-fn timed<T>(elapsed: &mut Duration, work: impl FnOnce() -> T) -> T {
+/// Measures a stage, in a span of its name.
+fn spent<T>(elapsed: &mut Duration, stage: &'static str, work: impl FnOnce() -> T) -> T {
     let started = Instant::now();
-    let result = work();
+    let result = tracing::info_span!("stage", otel.name = stage).in_scope(work);
     *elapsed = started.elapsed();
     result
 }

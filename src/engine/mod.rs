@@ -3,8 +3,10 @@
 mod batch;
 mod choreographer;
 mod chunks;
+mod ears;
 mod error;
 mod guidance;
+mod observer;
 mod options;
 mod piece;
 mod progress;
@@ -16,8 +18,9 @@ mod window;
 mod worker;
 
 pub use crate::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE};
-pub use choreographer::{Choreographer, DEFAULT_BATCH, EngineConfig, RawDance};
+pub use choreographer::{Choreographer, DEFAULT_BATCH, Ending, EngineConfig, RawDance};
 pub use error::EngineError;
+pub use observer::Observer;
 pub use options::GenerationOptions;
-pub use progress::{Progress, Stage};
+pub use progress::{Listener, Opening, Progress, Stage};
 pub use sampler::MAX_SEED;

@@ -3,7 +3,8 @@
 use super::{EngineError, MAX_SEED, worker::branches};
 use crate::{
     audio::AudioRange,
-    model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, WindowKind},
+    format::Tail,
+    model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, Vocabulary, WindowKind},
     motion,
 };
 
@@ -30,6 +31,8 @@ pub struct GenerationOptions {
     pub window: Option<WindowKind>,
     /// Codes kept when a hop window shrinks.
     pub hop: Option<usize>,
+    /// The end of an earlier dance, which this one goes on from; its codes take the place of start codes.
+    pub continue_from: Option<Tail>,
     /// Which part of the song.
     pub range: AudioRange,
     /// Frames per second of the result: 20, 24, 30 or 60.
@@ -50,6 +53,7 @@ impl Default for GenerationOptions {
             candidates: None,
             start_upper: None,
             start_lower: None,
+            continue_from: None,
             window: None,
             hop: None,
             range: AudioRange::default(),
@@ -89,18 +93,22 @@ impl GenerationOptions {
             );
         }
         check_between("candidates", self.candidates, 1, MAX_CANDIDATES)?;
-        let defaults = manifest.sampling;
-        let candidates = self.candidates.unwrap_or(defaults.candidates);
-        let branches = branches(self.guidance.unwrap_or(defaults.guidance));
-        if candidates * branches > batch {
-            let twice = if branches > 1 {
-                ", twice as they are guided,"
-            } else {
-                ""
-            };
+        let branches = branches(self.guidance.unwrap_or(manifest.sampling.guidance));
+        if branches > batch {
+            return refuse(
+                "guidance",
+                format!(
+                    "other than 1 it needs two dances side by side; this server's batch is {batch}"
+                ),
+            );
+        }
+        if self.candidates(manifest, batch) * branches > batch {
             return refuse(
                 "candidates",
-                format!("{candidates}{twice} do not fit into the batch of {batch}"),
+                format!(
+                    "at most {} fit into this server's batch of {batch}, {branches} of it for each",
+                    batch / branches
+                ),
             );
         }
         let vocabulary = manifest.vocabulary;
@@ -123,6 +131,7 @@ impl GenerationOptions {
             0,
             vocabulary.lower - 1,
         )?;
+        self.check_tail(vocabulary)?;
         check_between("hop", self.hop, 1, manifest.gpt.context)?;
         if !motion::FRAME_RATES.contains(&self.fps) {
             let rates = motion::FRAME_RATES.map(|rate| rate.to_string()).join(", ");
@@ -145,6 +154,44 @@ impl GenerationOptions {
             ),
             None => Ok(()),
         }
+    }
+}
+
+impl GenerationOptions {
+    /// Candidates for every phrase: as many as asked for, else the model's own, as far as `batch` has room
+    /// for them; one where they would not differ.
+    pub(super) fn candidates(&self, manifest: &Manifest, batch: usize) -> usize {
+        let defaults = manifest.sampling;
+        let temperature = self.temperature.unwrap_or(defaults.temperature);
+        if temperature == 0.0 || self.top_k.or(defaults.top_k) == Some(1) {
+            return 1;
+        }
+        let room = batch / branches(self.guidance.unwrap_or(defaults.guidance));
+        let own = defaults.candidates.min(room.max(1));
+        self.candidates.unwrap_or(own)
+    }
+
+    /// Codes of a tail must be the model's, and leave no choice of others.
+    fn check_tail(&self, vocabulary: Vocabulary) -> Result<(), EngineError> {
+        let Some(tail) = &self.continue_from else {
+            return Ok(());
+        };
+        let known = |half: &[u32], codes: usize| half.iter().all(|&code| (code as usize) < codes);
+        let problem = if self.start_upper.is_some() || self.start_lower.is_some() {
+            "start_upper and start_lower say something else: give either"
+        } else if tail.codes.upper.is_empty() || tail.codes.upper.len() != tail.codes.lower.len() {
+            "it holds no pairs of pose codes"
+        } else if !known(&tail.codes.upper, vocabulary.upper)
+            || !known(&tail.codes.lower, vocabulary.lower)
+        {
+            "it holds a pose code that this model does not have"
+        } else {
+            return Ok(());
+        };
+        Err(EngineError::Option {
+            name: "continue_from",
+            problem: problem.into(),
+        })
     }
 }
 

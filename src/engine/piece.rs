@@ -1,20 +1,22 @@
 //! One request in the making: the codes so far, and what its dances in the batch ask of the model.
 
-use ndarray::{ArrayView2, Axis, Slice};
+use std::time::Duration;
+
+use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use super::{
     chunks::Chunks,
-    error::of_model,
     guidance::Guide,
     sampler::Sampler,
     search::{Judge, Phrase, phrase_end},
     window::WindowStep,
-    worker::Job,
+    worker::{Job, Outcome, branches},
 };
 use crate::{
-    CancelToken, Result,
+    Result,
     format::Codes,
     model::{Decoder, Gpt, GptMemory, Logits, Manifest, ModelError, NextStep, Steps},
+    motion::ToWorld,
 };
 
 /// A request whose codes are being chosen, phrase by phrase. Its dances, one or a candidate each, go side
@@ -34,6 +36,8 @@ pub(crate) struct Piece {
     /// The model remembers nothing of these dances yet.
     unprimed: bool,
     chunks: Chunks,
+    /// Decoded motion that nobody has heard.
+    motion: Array2<f32>,
 }
 
 /// One of the dances that a phrase could become.
@@ -46,10 +50,23 @@ impl Piece {
     /// Before its first step.
     pub(crate) fn new(job: Job, manifest: &Manifest) -> Self {
         let mut sampler = Sampler::new(job.sampling, job.seed);
-        let [upper, lower] = start_codes(job.start, manifest, &mut sampler);
+        let drawn = start_codes(job.start, manifest, &mut sampler);
+        let leads = |half: &[u32]| half.last().copied();
+        let [upper, lower] = [
+            leads(&job.history.upper).unwrap_or(drawn[0]),
+            leads(&job.history.lower).unwrap_or(drawn[1]),
+        ];
+        let total = job.music.nrows() - job.lead_in().unwrap_or(0);
+        let to_world = ToWorld::new(manifest.motion_frame, f64::from(job.facing));
+        let chunks = Chunks::new(total, job.history.clone(), to_world);
+        let columns = 3 * manifest.skeleton.joints.len();
         let mut piece = Self {
             guide: Guide::new(job.guidance, job.music.view()),
-            chunks: Chunks::new(job.music.nrows(), manifest),
+            chunks: match &job.listener {
+                Some(_) => chunks.soon(),
+                None => chunks,
+            },
+            motion: Array2::zeros((0, columns)),
             job,
             sampler,
             settled: Codes {
@@ -70,7 +87,7 @@ impl Piece {
         &self.job
     }
 
-    /// Codes of the whole piece.
+    /// Codes of the whole piece, and the one that leads in.
     fn total(&self) -> usize {
         self.job.music.nrows()
     }
@@ -82,7 +99,7 @@ impl Piece {
 
     /// With and without the music's time, if it is guided.
     fn branches(&self) -> usize {
-        1 + usize::from(self.guide.is_some())
+        branches(self.job.guidance)
     }
 
     /// Whether all codes are chosen.
@@ -222,7 +239,7 @@ impl Piece {
         let total = self.total();
         if self.step() + 1 < self.end {
             if !self.job.has_a_choice() {
-                self.job.progress.codes(self.step() + 1, total);
+                self.tell(self.step() + 1);
             }
             return Ok(());
         }
@@ -252,18 +269,37 @@ impl Piece {
             self.sampler = dance.sampler;
         }
         self.phrases += 1;
-        self.job.progress.codes(self.end, total);
+        self.tell(self.end);
         if !self.has_all_codes() {
             self.begin_phrase();
         }
         Ok(())
     }
 
+    /// Tells how many codes there are, the one that leads in not counted.
+    fn tell(&self, codes: usize) {
+        let leads = self.job.lead_in().unwrap_or(0);
+        let progress = &self.job.progress;
+        progress.codes(codes - leads, self.total() - leads);
+    }
+
     /// Decodes the next chunk of frames, if its codes are settled.
-    pub(crate) fn decode(&mut self, decoder: &mut Decoder, manifest: &Manifest) -> Result<bool> {
-        self.chunks
-            .advance(decoder, &self.settled, manifest, &self.job.cancel)
-            .map_err(of_model)
+    pub(crate) fn decode(&mut self, decoder: &mut Decoder, manifest: &Manifest) -> Result<()> {
+        let leads = self.job.lead_in().unwrap_or(0);
+        let halves = [&self.settled.upper, &self.settled.lower];
+        let codes = halves.map(|half| half.get(leads..).unwrap_or_default());
+        let cancel = &self.job.cancel;
+        let Some(motion) = self.chunks.advance(decoder, codes, manifest, cancel)? else {
+            return Ok(());
+        };
+        match &self.job.listener {
+            Some(listener) => listener.frames(motion),
+            None => self
+                .motion
+                .append(Axis(0), motion.view())
+                .map_err(|_| columns_differ(&motion, self.motion.ncols()))?,
+        }
+        Ok(())
     }
 
     /// Whether all frames are decoded.
@@ -271,14 +307,30 @@ impl Piece {
         self.chunks.is_complete()
     }
 
-    /// The job, its codes, and the motion in the manifest's frame.
-    pub(crate) fn into_parts(self) -> (Job, Codes, ndarray::Array2<f32>) {
-        (self.job, self.settled, self.chunks.into_motion())
+    /// What was made of it, by who waited and worked for so long.
+    pub(crate) fn into_outcome(self, queued: Duration, inference: Duration) -> Outcome {
+        let leads = self.job.lead_in().unwrap_or(0);
+        let behind = |mut half: Vec<u32>| half.split_off(leads.min(half.len()));
+        let (walked, facing) = self.chunks.end();
+        Outcome {
+            codes: Codes {
+                upper: behind(self.settled.upper),
+                lower: behind(self.settled.lower),
+            },
+            motion: self.motion,
+            walked,
+            facing: facing as f32,
+            queued,
+            inference,
+        }
     }
+}
 
-    /// Whether nobody wants it any more.
-    pub(crate) fn cancel(&self) -> &CancelToken {
-        &self.job.cancel
+fn columns_differ(motion: &Array2<f32>, expected: usize) -> ModelError {
+    ModelError::Input {
+        what: "decoder.onnx: columns in world directions",
+        expected: expected.to_string(),
+        got: motion.ncols().to_string(),
     }
 }
 

@@ -1,4 +1,11 @@
-//! How far a generation has come.
+//! How far a generation has come, and what there is of it already.
+
+use ndarray::Array2;
+
+use crate::{
+    format::{MusicInfo, Timings},
+    motion::{Finisher, PositionsSource, Skeleton},
+};
 
 /// A stage of a generation, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,9 +24,45 @@ pub enum Stage {
 pub trait Progress: Send + Sync {
     /// A stage begins.
     fn stage(&self, _stage: Stage) {}
+    /// The audio is decoded; so much of it is danced to.
+    fn decoded(&self, _seconds: f64) {}
     /// `done` of `total` code pairs exist.
     fn codes(&self, _done: usize, _total: usize) {}
 }
 
 /// Hears nothing.
 impl Progress for () {}
+
+/// Hears a dance while it is generated.
+pub trait Listener: Progress {
+    /// The music is known, and what the dance will be; called once, before any frames.
+    fn opened(&self, opening: Opening);
+    /// The next frames of decoded motion, `[frames, 3 joints]`, for the opening's finisher. Called on the
+    /// model's thread: it must not wait.
+    fn frames(&self, motion: Array2<f32>);
+}
+
+/// What is known of a dance before its first frame.
+#[derive(Debug)]
+pub struct Opening {
+    /// Name of the model.
+    pub model: String,
+    /// The seed that is used.
+    pub seed: u64,
+    /// Rest skeleton.
+    pub skeleton: Skeleton,
+    /// Frames per second.
+    pub fps: u32,
+    /// Frames of the whole dance.
+    pub frames: usize,
+    /// Where positions come from.
+    pub positions_source: PositionsSource,
+    /// Tempo and beats, when asked for.
+    pub music: Option<MusicInfo>,
+    /// Wall time of what is done.
+    pub timings: Timings,
+    /// What was trimmed, truncated or assumed.
+    pub warnings: Vec<String>,
+    /// Makes a dance of the decoded motion.
+    pub finisher: Finisher,
+}

@@ -6,9 +6,10 @@ use crossbeam_channel::bounded;
 use ndarray::Array2;
 
 use super::{
-    EngineError,
+    EngineError, GenerationOptions,
     batch::{Batch, Reply},
     chunks::{CHUNK_CODES, Chunks},
+    observer::Observer,
     sampler::Sampling,
     window::Window,
     worker::Job,
@@ -17,6 +18,7 @@ use crate::{
     CancelToken, Error, Result,
     format::Codes,
     model::{Decoder, Gpt, ModelDirectory, ModelError, Steps, Vocabulary, WindowKind},
+    motion::{MotionFrame, ToWorld},
 };
 
 /// Bytes of a GPT below which its steps have one thread.
@@ -88,9 +90,14 @@ impl Sessions {
         };
         let cancel = CancelToken::new();
         let whole = self.decoder.decode(&codes.upper, &codes.lower, &cancel)?;
-        let mut chunked = Chunks::new(count, manifest);
-        while chunked.advance(&mut self.decoder, &codes, manifest, &cancel)? {}
-        let chunked = chunked.into_motion();
+        // As it is decoded: in the world's directions, differences would be summed.
+        let as_decoded = ToWorld::new(MotionFrame::World, 0.0);
+        let mut chunks = Chunks::new(count, Codes::default(), as_decoded);
+        let halves = [&codes.upper[..], &codes.lower[..]];
+        let mut chunked = Vec::with_capacity(whole.len());
+        while let Some(chunk) = chunks.advance(&mut self.decoder, halves, manifest, &cancel)? {
+            chunked.extend(chunk);
+        }
         let apart = |(a, b): (&f32, &f32)| (a - b).abs();
         let worst = whole.iter().zip(&chunked).map(apart).fold(0.0, f32::max);
         if worst > CHUNK_TOLERANCE {
@@ -108,7 +115,7 @@ impl Sessions {
 
     /// A batch of at most `rows` dances, after two codes by the path that requests take; it also warms the
     /// step up.
-    pub(crate) fn tried(self, rows: usize) -> Result<Batch> {
+    pub(crate) fn tried(self, rows: usize, observer: Arc<dyn Observer>) -> Result<Batch> {
         let columns = self.directory.manifest().features.columns;
         let job = Job {
             music: Array2::zeros((3, columns)),
@@ -118,16 +125,20 @@ impl Sessions {
             },
             // Two branches, if that is the default.
             guidance: self.directory.manifest().sampling.guidance,
-            candidates: self.directory.manifest().sampling.candidates,
+            // As many as there is room for.
+            candidates: GenerationOptions::default().candidates(self.directory.manifest(), rows),
             beats: vec![4, 12, 20],
             seed: 0,
             start: [None, None],
             window: Window::new(WindowKind::Hop, 1, 2),
+            history: Codes::default(),
+            facing: 0.0,
             progress: Arc::new(()),
+            listener: None,
             cancel: CancelToken::new(),
         };
         let (reply, outcome) = bounded(1);
-        let mut batch = Batch::new(self, rows);
+        let mut batch = Batch::new(self, rows, observer);
         batch.join(job, Reply(reply), Duration::ZERO);
         while !batch.is_idle() {
             batch.round();

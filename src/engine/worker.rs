@@ -7,13 +7,14 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crossbeam_channel::bounded;
+use crossbeam_channel::{Sender, bounded};
 use ndarray::Array2;
 
 use super::{
     EngineError,
     batch::{Batch, Reply},
-    progress::Progress,
+    observer::Observer,
+    progress::{Listener, Progress},
     queue::{Queue, Refused},
     sampler::Sampling,
     sessions::Sessions,
@@ -29,7 +30,7 @@ pub(crate) struct Job {
     pub(crate) sampling: Sampling,
     /// How strongly the music's time is followed.
     pub(crate) guidance: f32,
-    /// Candidates for every phrase.
+    /// Candidates for every phrase; 1 where they would not differ.
     pub(crate) candidates: usize,
     /// Frames of the music's beats, which candidates are chosen by; may be empty.
     pub(crate) beats: Vec<usize>,
@@ -39,17 +40,28 @@ pub(crate) struct Job {
     pub(crate) start: [Option<u32>; 2],
     /// How the window of past codes moves.
     pub(crate) window: Window,
+    /// Codes that the dance goes on from; none where it starts anew. The last of them leads in: it stands
+    /// before the first row of music, and is no part of the dance.
+    pub(crate) history: Codes,
+    /// Where the first pose faces.
+    pub(crate) facing: f32,
     /// Hears how many codes there are.
     pub(crate) progress: Arc<dyn Progress>,
+    /// Hears the motion as it is decoded; it is not kept then.
+    pub(crate) listener: Option<Arc<dyn Listener>>,
     /// Checked at every step.
     pub(crate) cancel: CancelToken,
 }
 
 impl Job {
-    /// Whether candidates differ, and there are beats to choose between them by.
+    /// Whether there are candidates, and beats to choose between them by.
     pub(crate) fn has_a_choice(&self) -> bool {
-        let differ = self.sampling.temperature > 0.0 && self.sampling.top_k != Some(1);
-        self.candidates > 1 && differ && !self.beats.is_empty()
+        self.candidates > 1 && !self.beats.is_empty()
+    }
+
+    /// Number of codes that lead in, if the dance goes on from another.
+    pub(crate) fn lead_in(&self) -> Option<usize> {
+        (!self.history.upper.is_empty()).then_some(1)
     }
 
     /// Dances that are computed side by side for it.
@@ -72,18 +84,25 @@ pub(crate) fn branches(guidance: f32) -> usize {
 #[derive(Debug)]
 pub(crate) struct Outcome {
     pub(crate) codes: Codes,
-    /// Decoded motion in world directions, `[frames, 3 joints]`.
+    /// Decoded motion in world directions, `[frames, 3 joints]`; without frames if somebody listened.
     pub(crate) motion: Array2<f32>,
+    /// How far the root has come on the floor, x and z in metres, and where it faces.
+    pub(crate) walked: [f32; 2],
+    pub(crate) facing: f32,
     /// From submission to the first step.
     pub(crate) queued: Duration,
     /// From the first step to the last frame.
     pub(crate) inference: Duration,
 }
 
-struct Ticket {
-    job: Job,
-    submitted: Instant,
-    reply: Reply,
+enum Ticket {
+    Dance {
+        job: Box<Job>,
+        submitted: Instant,
+        reply: Reply,
+    },
+    /// Codes to decode, and where their motion goes.
+    Decode(Codes, Sender<Result<Array2<f32>>>),
 }
 
 impl fmt::Debug for Ticket {
@@ -106,6 +125,7 @@ impl Worker {
         threads: usize,
         rows: usize,
         capacity: usize,
+        observer: Arc<dyn Observer>,
     ) -> Result<Self> {
         let queue = Arc::new(Queue::new(capacity));
         let guard = AbandonOnDrop(Arc::clone(&queue));
@@ -115,7 +135,8 @@ impl Worker {
             .spawn(move || {
                 // Whatever ends this thread, nobody waits for it any longer.
                 let guard = guard;
-                match Sessions::load(directory, threads).and_then(|sessions| sessions.tried(rows)) {
+                let loaded = Sessions::load(directory, threads);
+                match loaded.and_then(|sessions| sessions.tried(rows, observer)) {
                     Ok(mut batch) => {
                         // A receiver that has gone only means that nobody waits any more.
                         let _ = ready.send(Ok(()));
@@ -143,21 +164,32 @@ impl Worker {
                 let _ = reply.try_send(Err(EngineError::Cancelled.into()));
             }
         });
-        let ticket = Ticket {
-            job,
+        let number = self.push(Ticket::Dance {
+            job: Box::new(job),
             submitted: Instant::now(),
             reply: Reply(reply),
-        };
+        })?;
+        let result = outcome.recv().map_err(|_| EngineError::Stopped)?;
+        // One that was cancelled while it waited gives its place back.
+        self.queue.remove(number);
+        result
+    }
+
+    /// Motion of a few codes, in world directions; waits for its turn between two steps.
+    pub(crate) fn decode(&self, codes: Codes) -> Result<Array2<f32>> {
+        let (reply, motion) = bounded(1);
+        self.push(Ticket::Decode(codes, reply))?;
+        motion.recv().map_err(|_| EngineError::Stopped)?
+    }
+
+    fn push(&self, ticket: Ticket) -> Result<u64> {
         let number = self.queue.push(ticket).map_err(|refused| match refused {
             Refused::Full => EngineError::QueueFull {
                 capacity: self.queue.capacity(),
             },
             Refused::Closed => EngineError::Stopped,
         })?;
-        let result = outcome.recv().map_err(|_| EngineError::Stopped)?;
-        // One that was cancelled while it waited gives its place back.
-        self.queue.remove(number);
-        result
+        Ok(number)
     }
 
     /// Whether the model's thread still takes work.
@@ -189,11 +221,15 @@ fn serve(batch: &mut Batch, queue: &Queue<Ticket>) {
                 false => queue.try_pop(),
             };
             match ticket {
-                Some(Ticket {
+                Some(Ticket::Dance {
                     job,
                     submitted,
                     reply,
-                }) => batch.join(job, reply, submitted.elapsed()),
+                }) => batch.join(*job, reply, submitted.elapsed()),
+                Some(Ticket::Decode(codes, reply)) => {
+                    // A receiver that has gone only means that nobody waits any more.
+                    let _ = reply.send(batch.show(&codes));
+                }
                 None if batch.is_idle() => return,
                 None => break,
             }

@@ -23,6 +23,7 @@ use super::{
     tempogram::Tempogram,
     tuning::Tuner,
 };
+use crate::CancelToken;
 
 /// All stages, planned.
 pub(super) struct Chain {
@@ -38,6 +39,8 @@ pub(super) struct Chain {
     tempogram: Tempogram,
     tempo: TempoEstimator,
     beats: BeatTracker,
+    /// Once triggered, stages leave off where they are.
+    pub(super) cancel: CancelToken,
 }
 
 impl Chain {
@@ -60,6 +63,7 @@ impl Chain {
             tempogram: Tempogram::new(TEMPOGRAM_COLUMNS.len()),
             tempo: TempoEstimator::new(settings.rows_per_second),
             beats: BeatTracker::new(settings.beat_rules),
+            cancel: CancelToken::new(),
         }
     }
 
@@ -80,8 +84,10 @@ impl Chain {
         let rows = row_count(pcm.len());
         let mut mel = Array2::zeros((rows, BANDS));
         let bank = &self.mel;
+        let cancel = &self.cancel;
         let split = self.separator.split(pcm, Parts::Both, |row, magnitudes| {
             bank.power(magnitudes, mel.row_mut(row));
+            !cancel.is_cancelled()
         });
         to_decibels(&mut mel, Reference::Maximum);
         (split, mel)
@@ -90,7 +96,7 @@ impl Chain {
     /// The percussive part alone.
     pub(super) fn percussive(&mut self, pcm: &[f32]) -> Vec<f32> {
         self.separator
-            .split(pcm, Parts::Percussive, |_, _| {})
+            .split(pcm, Parts::Percussive, |_, _| !self.cancel.is_cancelled())
             .percussive
     }
 
@@ -122,6 +128,9 @@ impl Chain {
     fn tuning(&mut self, harmonic: &[f32]) -> f64 {
         self.tuner.start();
         for row in 0..row_count(harmonic.len()) {
+            if self.cancel.is_cancelled() {
+                break;
+            }
             self.analyse(harmonic, row);
             self.tuner.observe(&self.magnitudes);
         }
@@ -130,7 +139,9 @@ impl Chain {
 
     /// Constant-Q magnitudes `[T, bins]`.
     pub(super) fn cqt(&mut self, harmonic: &[f32], tuning: f64) -> Array2<f32> {
-        self.cqt.magnitudes(harmonic, tuning)
+        let cancel = &self.cancel;
+        self.cqt
+            .magnitudes(harmonic, tuning, || !cancel.is_cancelled())
     }
 
     /// Columns 52..438, and the beats.
@@ -144,10 +155,12 @@ impl Chain {
             features[[beat, BEAT_COLUMN]] = 1.0;
         }
         let mut columns = columns(features, TEMPOGRAM_COLUMNS);
+        let cancel = &self.cancel;
         self.tempogram.for_each_row(&onset, |row, lags| {
             for (feature, &lag) in columns.row_mut(row).iter_mut().zip(lags) {
                 *feature = lag as f32;
             }
+            !cancel.is_cancelled()
         });
         beats
     }

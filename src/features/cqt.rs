@@ -53,15 +53,21 @@ impl Cqt {
         BINS_PER_OCTAVE * self.settings.octaves
     }
 
-    /// Magnitudes `[T, bins]` of `signal` for the given tuning (fraction of a bin).
-    pub(super) fn magnitudes(&mut self, signal: &[f32], tuning: f64) -> Array2<f32> {
+    /// Magnitudes `[T, bins]` of `signal` for the given tuning (fraction of a bin); `goes_on` is asked before
+    /// every octave.
+    pub(super) fn magnitudes(
+        &mut self,
+        signal: &[f32],
+        tuning: f64,
+        goes_on: impl Fn() -> bool,
+    ) -> Array2<f32> {
         let top_octave = BINS_PER_OCTAVE * (self.settings.octaves - 1);
         let frequencies = (top_octave..self.bins()).map(|bin| frequency(bin, tuning));
         let filters = self.basis.filters(frequencies, self.settings.sample_rate);
 
         let mut magnitudes = Array2::zeros((row_count(signal.len()), self.bins()));
         let mut halved: Option<Vec<f32>> = None;
-        for halvings in 0..self.settings.octaves {
+        for halvings in (0..self.settings.octaves).take_while(|_| goes_on()) {
             if halvings > 0 {
                 let previous = halved.as_deref().unwrap_or(signal);
                 halved = Some(self.decimator.run(previous));
@@ -144,7 +150,7 @@ mod tests {
             let sine: Vec<f32> = (0..3_840 * 4)
                 .map(|i| (std::f64::consts::TAU * hz * f64::from(i) / 3_840.0).sin() as f32)
                 .collect();
-            let magnitudes = cqt.magnitudes(&sine, tuning);
+            let magnitudes = cqt.magnitudes(&sine, tuning, || true);
             assert_eq!(magnitudes.dim(), (31, 180));
             let row = magnitudes.row(15);
             let peak = (0..180).max_by(|&a, &b| row[a].total_cmp(&row[b]));

@@ -20,6 +20,9 @@ pub enum FeatureError {
         /// Index of the first such sample.
         index: usize,
     },
+    /// Nobody wants the features any more.
+    #[error("the features were cancelled")]
+    Cancelled,
     /// A sample is so large that its power would overflow.
     #[error("sample {index} of the signal is {value:e}; full scale is 1")]
     OutOfRange {

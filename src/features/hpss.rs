@@ -63,12 +63,13 @@ impl Separator {
         }
     }
 
-    /// Splits `pcm`, and shows the magnitudes of each of its frames, in order, to `on_magnitudes`.
+    /// Splits `pcm`, and shows the magnitudes of each of its frames, in order, to `on_magnitudes`, which
+    /// says whether to go on: if not, the rest is silence.
     pub(super) fn split(
         &mut self,
         pcm: &[f32],
         parts: Parts,
-        mut on_magnitudes: impl FnMut(usize, &[f32]),
+        mut on_magnitudes: impl FnMut(usize, &[f32]) -> bool,
     ) -> Split {
         let count = row_count(pcm.len());
         let mut split = Split {
@@ -79,11 +80,15 @@ impl Separator {
             percussive: vec![0.0; pcm.len()],
         };
         let mut analysed = 0;
+        let mut goes_on = true;
         for index in 0..count {
             while analysed < count.min(index + HALF_WINDOW + 1) {
                 self.analyse(pcm, analysed);
-                on_magnitudes(analysed, self.magnitudes_of(analysed));
+                goes_on &= on_magnitudes(analysed, self.magnitudes_of(analysed));
                 analysed += 1;
+            }
+            if !goes_on {
+                break;
             }
             self.slide_along_time(index, count);
             self.slide_along_frequency(index);
@@ -211,11 +216,11 @@ mod tests {
         for samples in [1_100, 15_000, 40_000] {
             let pcm = noise(samples);
             let mut separator = Separator::new(Padding::Zeros, false);
-            let split = separator.split(&pcm, Parts::Both, |_, _| {});
+            let split = separator.split(&pcm, Parts::Both, |_, _| true);
             for ((h, p), x) in split.harmonic.iter().zip(&split.percussive).zip(&pcm) {
                 assert!((h + p - x).abs() < 5e-6);
             }
-            let alone = separator.split(&pcm, Parts::Percussive, |_, _| {});
+            let alone = separator.split(&pcm, Parts::Percussive, |_, _| true);
             assert_eq!(alone.percussive, split.percussive);
             assert!(alone.harmonic.is_empty());
         }
@@ -228,7 +233,10 @@ mod tests {
             let frames = row_count(samples);
             let mut separator = Separator::new(Padding::Zeros, false);
             let mut rows = Vec::new();
-            separator.split(&pcm, Parts::Percussive, |_, row| rows.push(row.to_vec()));
+            separator.split(&pcm, Parts::Percussive, |_, row| {
+                rows.push(row.to_vec());
+                true
+            });
             assert_eq!(rows.len(), frames);
             let sorted_median = |mut values: Vec<f32>| {
                 values.sort_by(f32::total_cmp);
@@ -267,7 +275,7 @@ mod tests {
     #[test]
     fn the_older_profile_ends_in_zeros() {
         let pcm = noise(5_000);
-        let split = Separator::new(Padding::Reflect, true).split(&pcm, Parts::Both, |_, _| {});
+        let split = Separator::new(Padding::Reflect, true).split(&pcm, Parts::Both, |_, _| true);
         assert!(split.harmonic[4_608..].iter().all(|&x| x == 0.0));
         assert!(split.harmonic[4_600..4_608].iter().any(|&x| x != 0.0));
     }

@@ -33,6 +33,7 @@ pub use self::{
     error::FeatureError,
     phase::{BeatPhase, with_counts, with_counts_of},
 };
+use crate::CancelToken;
 
 /// Columns of a feature row.
 pub const COLUMNS: usize = 438;
@@ -173,6 +174,19 @@ impl FeatureExtractor {
     /// [`FeatureError::TooShort`] for fewer than 3 rows, [`FeatureError::NotFinite`] and
     /// [`FeatureError::OutOfRange`] for samples that are no sound.
     pub fn extract(&mut self, pcm: &[f32]) -> Result<Array2<f32>, FeatureError> {
+        self.extract_until(pcm, &CancelToken::new())
+    }
+
+    /// [`FeatureExtractor::extract`] that stops within a few frames once `cancel` is triggered.
+    ///
+    /// # Errors
+    /// As [`FeatureExtractor::extract`], and [`FeatureError::Cancelled`].
+    pub fn extract_until(
+        &mut self,
+        pcm: &[f32],
+        cancel: &CancelToken,
+    ) -> Result<Array2<f32>, FeatureError> {
+        self.chain.cancel = cancel.clone();
         let mut features = self.blank_features(pcm)?;
         // Each stage's own result is dropped as soon as the columns hold what they need of it.
         let (split, mel_db) = self.chain.split(pcm);
@@ -181,6 +195,7 @@ impl FeatureExtractor {
         self.chain.rhythm(&split.percussive, &mut features);
         drop(split.percussive);
         self.chain.harmony(&split.harmonic, &mut features);
+        finished(cancel)?;
         Ok(features)
     }
 
@@ -189,6 +204,7 @@ impl FeatureExtractor {
     /// # Errors
     /// As [`FeatureExtractor::extract`].
     pub fn extract_stages(&mut self, pcm: &[f32]) -> Result<Stages, FeatureError> {
+        self.chain.cancel = CancelToken::new();
         let mut features = self.blank_features(pcm)?;
         let (split, mel_db) = self.chain.split(pcm);
         self.chain.timbre(&mel_db, &mut features);
@@ -210,8 +226,22 @@ impl FeatureExtractor {
     /// # Errors
     /// As [`FeatureExtractor::extract`].
     pub fn beats(&mut self, pcm: &[f32]) -> Result<Beats, FeatureError> {
+        self.beats_until(pcm, &CancelToken::new())
+    }
+
+    /// [`FeatureExtractor::beats`] that stops within a few frames once `cancel` is triggered.
+    ///
+    /// # Errors
+    /// As [`FeatureExtractor::extract_until`].
+    pub fn beats_until(
+        &mut self,
+        pcm: &[f32],
+        cancel: &CancelToken,
+    ) -> Result<Beats, FeatureError> {
         check(pcm)?;
+        self.chain.cancel = cancel.clone();
         let percussive = self.chain.percussive(pcm);
+        finished(cancel)?;
         let onset = self.chain.onset(&percussive);
         Ok(self.chain.beats(&onset))
     }
@@ -256,6 +286,14 @@ impl fmt::Debug for FeatureExtractor {
             .field("rate", &self.rate)
             .field("profile", &self.profile)
             .finish_non_exhaustive()
+    }
+}
+
+/// What was computed is whole unless it was cancelled meanwhile: stages then leave off where they are.
+fn finished(cancel: &CancelToken) -> Result<(), FeatureError> {
+    match cancel.is_cancelled() {
+        true => Err(FeatureError::Cancelled),
+        false => Ok(()),
     }
 }
 

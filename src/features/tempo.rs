@@ -42,6 +42,7 @@ impl TempoEstimator {
             for (mean, lag) in mean.iter_mut().zip(lags) {
                 *mean += lag / onset.len() as f64;
             }
+            true
         });
         self.best_lag()
     }

@@ -32,12 +32,18 @@ impl Tempogram {
         }
     }
 
-    /// Shows each row's lags `0..width`, relative to the largest, to `visit`.
-    pub(super) fn for_each_row(&mut self, onset: &[f32], mut visit: impl FnMut(usize, &[f64])) {
+    /// Shows each row's lags `0..width`, relative to the largest, to `visit`, which says whether to go on.
+    pub(super) fn for_each_row(
+        &mut self,
+        onset: &[f32],
+        mut visit: impl FnMut(usize, &[f64]) -> bool,
+    ) {
         self.pad(onset);
         for row in 0..onset.len() {
             self.correlate(row);
-            visit(row, &self.lags);
+            if !visit(row, &self.lags) {
+                return;
+            }
         }
     }
 
@@ -123,6 +129,7 @@ mod tests {
                     let expected = direct[lag] / direct[0];
                     assert!((value - expected).abs() < 1e-12, "row {row}, lag {lag}");
                 }
+                true
             });
             assert_eq!(rows, 90);
         }
@@ -132,6 +139,7 @@ mod tests {
     fn silence_stays_zero() {
         Tempogram::new(60).for_each_row(&[0.0; 5], |_, lags| {
             assert!(lags.iter().all(|&lag| lag == 0.0));
+            true
         });
     }
 }

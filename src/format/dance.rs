@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::FormatError;
+use super::{FormatError, Tail};
 use crate::motion::{Animation, Positions, PositionsSource, Skeleton};
 
 /// Pose codes of the two half bodies, one pair per 8 frames at 60 fps.
@@ -61,6 +61,8 @@ pub struct Dance {
     pub timings: Timings,
     /// What was trimmed, truncated or assumed, in plain words.
     pub warnings: Vec<String>,
+    /// Where another dance can go on.
+    pub tail: Option<Tail>,
 }
 
 impl Dance {

@@ -20,6 +20,9 @@ pub enum FormatError {
         /// What there is.
         accepted: &'static str,
     },
+    /// A text is no end of a dance.
+    #[error("this is not the `tail` of a dance")]
+    Tail,
     /// The dance contradicts itself, so that no file could be right.
     #[error("the dance can't be written: {0}")]
     Inconsistent(String),

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Dance, FormatError, MusicInfo, Timings,
+    Codes, Dance, FormatError, MusicInfo, Tail, Timings,
     numbers::{Block, Numbers, PoseNumbers, RootNumbers},
 };
 use crate::motion::{PositionsSource, Skeleton};
@@ -72,6 +72,10 @@ pub struct DanceJson<'a> {
     /// What was trimmed, truncated or assumed, in plain words.
     warnings: &'a [String],
     positions_source: SourceJson,
+    /// The option `continue_from` of a dance that is to go on from the end of this one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    tail: Option<String>,
     /// How `positions`, `rotations` and `root` are written.
     encoding: Encoding,
     /// World positions in metres, `[frames][joints][x y z]`.
@@ -176,14 +180,12 @@ impl<'a> DanceJson<'a> {
             frames,
             duration_s: frames as f64 / f64::from(animation.fps),
             skeleton: (&dance.skeleton).into(),
-            codes: CodesJson {
-                upper: &dance.codes.upper,
-                lower: &dance.codes.lower,
-            },
+            codes: (&dance.codes).into(),
             music: dance.music.as_ref().map(MusicJson::from),
             timings_ms: dance.timings.into(),
             warnings: &dance.warnings,
             positions_source: dance.positions_source.into(),
+            tail: dance.tail.as_ref().map(Tail::to_text),
             encoding: options.encoding,
             positions: numbers(Block::Positions(dance.positions.view())),
             rotations: options
@@ -204,6 +206,15 @@ impl<'a> From<&'a Skeleton> for SkeletonJson<'a> {
             offsets: &skeleton.offsets,
             up: "y",
             handedness: "right",
+        }
+    }
+}
+
+impl<'a> From<&'a Codes> for CodesJson<'a> {
+    fn from(codes: &'a Codes) -> Self {
+        Self {
+            upper: &codes.upper,
+            lower: &codes.lower,
         }
     }
 }
@@ -246,7 +257,7 @@ mod tests {
     use utoipa::OpenApi;
 
     use super::*;
-    use crate::{format::Codes, motion::Animation};
+    use crate::motion::Animation;
 
     #[derive(OpenApi)]
     #[openapi(components(schemas(DanceJson<'_>)))]
@@ -285,6 +296,7 @@ mod tests {
             }),
             timings: Timings::default(),
             warnings: Vec::new(),
+            tail: Some(Tail::new("00", Codes::default(), [0.0; 2], 0.0)),
         };
         let options = JsonOptions {
             rotations: true,

@@ -93,6 +93,15 @@ pub fn to_dancer_frame(positions: &Positions) -> Result<Array2<f32>, MotionError
 /// # Errors
 /// [`MotionError::Shape`] if the columns are not joints of three and a turn.
 pub fn to_world_frame(columns: ArrayView2<'_, f32>) -> Result<Array2<f32>, MotionError> {
+    turn_on(columns, &mut 0.0)
+}
+
+/// [`to_world_frame`] of a piece whose first frame faces `facing`, which is turned on to the frame
+/// behind its last.
+pub(super) fn turn_on(
+    columns: ArrayView2<'_, f32>,
+    facing: &mut f64,
+) -> Result<Array2<f32>, MotionError> {
     let (frames, width) = columns.dim();
     if width < 4 || width % 3 != 1 {
         return Err(MotionError::Shape {
@@ -101,17 +110,16 @@ pub fn to_world_frame(columns: ArrayView2<'_, f32>) -> Result<Array2<f32>, Motio
         });
     }
     let mut world = Array2::zeros((frames, width - 1));
-    // A long dance turns thousands of times over: the sum is kept short and exact.
-    let mut facing = 0.0_f64;
     for (row, mut out) in columns.outer_iter().zip(world.outer_iter_mut()) {
-        let angle = facing as f32;
+        let angle = *facing as f32;
         for joint in 0..width / 3 {
             let value = std::array::from_fn(|axis| row[3 * joint + axis]);
             for (axis, value) in turned(value, angle).into_iter().enumerate() {
                 out[3 * joint + axis] = value;
             }
         }
-        facing = (facing + f64::from(row[width - 1])).rem_euclid(f64::from(TAU));
+        // A long dance turns thousands of times over: the sum is kept short and exact.
+        *facing = (*facing + f64::from(row[width - 1])).rem_euclid(f64::from(TAU));
     }
     Ok(world)
 }

@@ -2,13 +2,10 @@
 
 use ndarray::ArrayView2;
 
-use super::{
-    Animation, InverseKinematics, MotionError, Positions, Skeleton, floor_correction, forward,
-    integrate_root, leg::Legs, lower_foot_heights, resample,
-};
+use super::{Animation, Finisher, MotionError, Positions, Skeleton};
 
 /// What a motion is finished to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FinishOptions {
     /// Frames per second wanted: one of [`super::FRAME_RATES`].
     pub fps: u32,
@@ -16,6 +13,8 @@ pub struct FinishOptions {
     pub root_motion: bool,
     /// Frames per second of the decoder's output.
     pub decoded_fps: u32,
+    /// Where the root starts: x and z in metres.
+    pub start: [f32; 2],
 }
 
 impl Default for FinishOptions {
@@ -24,6 +23,7 @@ impl Default for FinishOptions {
             fps: 60,
             root_motion: true,
             decoded_fps: 60,
+            start: [0.0; 2],
         }
     }
 }
@@ -62,60 +62,7 @@ pub fn finish(
     skeleton: &Skeleton,
     options: &FinishOptions,
 ) -> Result<Finished, MotionError> {
-    let solver = InverseKinematics::new(skeleton)?;
-    let decoded = integrate_root(decoded, [0.0, skeleton.root_height, 0.0])?;
-    let mut solved = solver.solve(&decoded, options.decoded_fps)?;
-    Legs::new(skeleton).follow(&mut solved, &decoded);
-    let mut animation = resample(&solved, options.fps)?;
-    if !options.root_motion {
-        stay(&mut animation);
-    }
-    lift_animation(&mut animation, skeleton)?;
-    let (positions, source) = if options.fps == options.decoded_fps {
-        let positions = stand(decoded, skeleton, options);
-        (positions, PositionsSource::Decoder)
-    } else {
-        let positions = forward(skeleton, &animation)?;
-        (positions, PositionsSource::ForwardKinematics)
-    };
-    Ok(Finished {
-        animation,
-        positions,
-        source,
-    })
-}
-
-fn stay(animation: &mut Animation) {
-    for root in &mut animation.root {
-        (root.x, root.z) = (0.0, 0.0);
-    }
-}
-
-/// Stands the skeleton on the floor by its own feet. They are where the decoder's are, but for legs
-/// that cannot reach, so this is the decoder's correction to within millimetres.
-fn lift_animation(animation: &mut Animation, skeleton: &Skeleton) -> Result<(), MotionError> {
-    let heights = lower_foot_heights(&forward(skeleton, animation)?, skeleton);
-    let lift = floor_correction(&heights, animation.fps);
-    for (root, lift) in animation.root.iter_mut().zip(lift) {
-        root.y += lift;
-    }
-    Ok(())
-}
-
-/// Stands the decoder's joints on the floor by their own feet.
-fn stand(mut positions: Positions, skeleton: &Skeleton, options: &FinishOptions) -> Positions {
-    let lift = floor_correction(&lower_foot_heights(&positions, skeleton), options.fps);
-    for (mut pose, lift) in positions.outer_iter_mut().zip(lift) {
-        let held = if options.root_motion {
-            [0.0, 0.0]
-        } else {
-            [pose[[0, 0]], pose[[0, 2]]]
-        };
-        for mut joint in pose.outer_iter_mut() {
-            joint[0] -= held[0];
-            joint[1] += lift;
-            joint[2] -= held[1];
-        }
-    }
-    positions
+    let mut finisher = Finisher::whole(skeleton, options)?;
+    finisher.push(decoded)?;
+    finisher.end()
 }

@@ -3,7 +3,7 @@
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-use super::{MotionError, facing_columns, to_world_frame};
+use super::{MotionError, facing::turn_on, facing_columns};
 
 /// In which frame a model knows motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -38,9 +38,38 @@ impl MotionFrame {
     /// # Errors
     /// [`MotionError::Shape`] if the columns are not those of this frame.
     pub fn into_world(self, motion: Array2<f32>) -> Result<Array2<f32>, MotionError> {
-        match self {
-            Self::World => Ok(motion),
-            Self::Dancer => to_world_frame(motion.view()),
+        ToWorld::new(self, 0.0).push(motion)
+    }
+}
+
+/// Brings the motion of one dance into world directions, piece by piece.
+#[derive(Clone, Copy, Debug)]
+pub struct ToWorld {
+    frame: MotionFrame,
+    facing: f64,
+}
+
+impl ToWorld {
+    /// For motion in `frame`, whose first pose faces `facing` radians about +y from +z.
+    #[must_use]
+    pub fn new(frame: MotionFrame, facing: f64) -> Self {
+        Self { frame, facing }
+    }
+
+    /// The next frames, `[frames, 3 joints]` in world directions.
+    ///
+    /// # Errors
+    /// [`MotionError::Shape`] if the columns are not those of the frame.
+    pub fn push(&mut self, motion: Array2<f32>) -> Result<Array2<f32>, MotionError> {
+        match self.frame {
+            MotionFrame::World => Ok(motion),
+            MotionFrame::Dancer => turn_on(motion.view(), &mut self.facing),
         }
+    }
+
+    /// Where the next frame faces, in radians; the first facing where the frame is the world's.
+    #[must_use]
+    pub fn facing(&self) -> f64 {
+        self.facing
     }
 }

@@ -68,6 +68,23 @@ impl InverseKinematics {
     /// [`MotionError::Shape`] if the joints are not the skeleton's, [`MotionError::NotFinite`] for a
     /// NaN or an infinity.
     pub fn solve(&self, positions: &Positions, fps: u32) -> Result<Animation, MotionError> {
+        self.solve_on(&mut self.start(fps), positions)
+    }
+
+    /// What solving frame by frame at `fps` starts from.
+    pub(super) fn start(&self, fps: u32) -> Solving {
+        Solving {
+            pose: Pose::new(self.bones.len(), TWIST_RATE / f64::from(fps.max(1))),
+            fps,
+        }
+    }
+
+    /// [`InverseKinematics::solve`] of a piece behind those that `solving` has seen.
+    pub(super) fn solve_on(
+        &self,
+        solving: &mut Solving,
+        positions: &Positions,
+    ) -> Result<Animation, MotionError> {
         let (frames, joints, axes) = positions.dim();
         if joints != self.bones.len() || axes != 3 {
             return Err(MotionError::Shape {
@@ -76,7 +93,7 @@ impl InverseKinematics {
             });
         }
         check_finite(positions)?;
-        let mut pose = Pose::new(joints, TWIST_RATE / f64::from(fps.max(1)));
+        let Solving { pose, fps } = solving;
         let mut root = Vec::with_capacity(frames);
         let mut rotations = Vec::with_capacity(frames);
         for frame in positions.outer_iter() {
@@ -96,14 +113,22 @@ impl InverseKinematics {
             );
         }
         Ok(Animation {
-            fps,
+            fps: *fps,
             root,
             rotations,
         })
     }
 }
 
+/// How far the rotations of one dance are solved.
+#[derive(Clone, Debug)]
+pub(super) struct Solving {
+    pose: Pose,
+    fps: u32,
+}
+
 /// The frame being solved; `local` still holds the previous frame's rotation of joints to come.
+#[derive(Clone, Debug)]
 struct Pose {
     places: Vec<DVec3>,
     local: Vec<DQuat>,

@@ -10,6 +10,7 @@ use ndarray::ArrayView2;
 use super::{
     Animation, Positions, Skeleton,
     fit::smallest_rotation,
+    frames,
     inverse::{SHORTEST_BONE, TWIST_RATE},
     smooth::smooth_upper_bound,
     two_bones::{TwoBones, across},
@@ -74,17 +75,16 @@ impl Legs {
         }
     }
 
-    /// Bends the legs of `animation`, solved from `decoded` frame by frame, to the feet of `decoded`.
-    /// Where a leg that stands is too short, the root is lowered a little and slowly.
-    pub(super) fn follow(&self, animation: &mut Animation, decoded: &Positions) {
-        let missing = self.missing_reach(animation, decoded);
-        let half_width = (LOWERING_SECONDS * f64::from(animation.fps)).ceil() as usize;
-        let lowered = smooth_upper_bound(&missing, half_width);
-        for (root, lowered) in animation.root.iter_mut().zip(lowered) {
-            root.y -= lowered as f32;
-        }
-        for leg in &self.legs {
-            leg.follow(animation, decoded);
+    /// Starts to bend legs, frame by frame, at `fps`.
+    pub(super) fn start(self, fps: u32) -> Following {
+        Following {
+            gaits: vec![Gait::default(); self.legs.len()],
+            legs: self,
+            half_width: (LOWERING_SECONDS * f64::from(fps)).ceil() as usize,
+            missing: Vec::new(),
+            done: 0,
+            solved: Animation::empty(fps),
+            decoded: Positions::zeros((0, 0, 3)),
         }
     }
 
@@ -106,6 +106,66 @@ impl Legs {
                 missing.fold(0.0, f64::max).min(MOST_LOWERED)
             })
             .collect()
+    }
+}
+
+/// Bends the legs of an animation, solved from decoded positions frame by frame, to the feet of those
+/// positions. Where a leg that stands is too short, the root is lowered a little and slowly: what comes
+/// in leaves when that is known.
+#[derive(Clone, Debug)]
+pub(super) struct Following {
+    legs: Legs,
+    gaits: Vec<Gait>,
+    half_width: usize,
+    /// How much lower the root must be, in every frame so far.
+    missing: Vec<f64>,
+    /// Frames that have left.
+    done: usize,
+    solved: Animation,
+    decoded: Positions,
+}
+
+/// What a leg remembers of the frame before.
+#[derive(Clone, Copy, Debug, Default)]
+struct Gait {
+    rotations: Option<[DQuat; 3]>,
+    side: Option<DVec3>,
+}
+
+impl Following {
+    /// Takes the next frames in; what is known to the end leaves.
+    pub(super) fn push(&mut self, solved: Animation, decoded: &Positions) -> Animation {
+        self.missing
+            .extend(self.legs.missing_reach(&solved, decoded));
+        self.solved.append(solved);
+        frames::append(&mut self.decoded, decoded.clone());
+        // The lowering of a frame depends on those within two half widths.
+        self.leave(self.missing.len().saturating_sub(2 * self.half_width))
+    }
+
+    /// The rest.
+    pub(super) fn end(&mut self) -> Animation {
+        self.leave(self.missing.len())
+    }
+
+    fn leave(&mut self, end: usize) -> Animation {
+        let count = end.saturating_sub(self.done);
+        let mut animation = self.solved.take_front(count);
+        let decoded = frames::take_front(&mut self.decoded, count);
+        let margin = 2 * self.half_width;
+        let first = self.done.saturating_sub(margin);
+        let near = self.missing.iter().copied().take(end + margin).skip(first);
+        let near: Vec<f64> = near.collect();
+        let lowered = smooth_upper_bound(&near, self.half_width);
+        let lowered = lowered.into_iter().skip(self.done - first);
+        for (root, lowered) in animation.root.iter_mut().zip(lowered) {
+            root.y -= lowered as f32;
+        }
+        for (leg, gait) in self.legs.legs.iter().zip(&mut self.gaits) {
+            leg.follow(&mut animation, &decoded, gait);
+        }
+        self.done += count;
+        animation
     }
 }
 
@@ -139,14 +199,13 @@ impl Leg {
         })
     }
 
-    fn follow(&self, animation: &mut Animation, decoded: &Positions) {
+    fn follow(&self, animation: &mut Animation, decoded: &Positions, gait: &mut Gait) {
         let seconds = 1.0 / f64::from(animation.fps.max(1));
-        let mut before: Option<[DQuat; 3]> = None;
-        let mut side = None;
         for (frame, pose) in decoded.outer_iter().enumerate() {
             let task = self.task(animation, frame, pose);
             let solved = self.rotations(animation, frame);
-            let now = self.knee_side(&task, side, KNEE_RATE * seconds);
+            let before = gait.rotations;
+            let now = self.knee_side(&task, gait.side, KNEE_RATE * seconds);
             let turned = if self.is_there(&task, solved) {
                 solved
             } else {
@@ -159,7 +218,10 @@ impl Leg {
             for (&joint, rotation) in self.joints.iter().zip(turned) {
                 animation.rotations[frame][joint] = rotation.as_quat().normalize();
             }
-            (before, side) = (Some(turned), Some(now));
+            *gait = Gait {
+                rotations: Some(turned),
+                side: Some(now),
+            };
         }
     }
 
@@ -343,8 +405,10 @@ mod tests {
 
     fn followed(positions: &Positions) -> (Animation, Positions) {
         let solver = InverseKinematics::new(&skeleton()).unwrap();
-        let mut animation = solver.solve(positions, 60).unwrap();
-        Legs::new(&skeleton()).follow(&mut animation, positions);
+        let solved = solver.solve(positions, 60).unwrap();
+        let mut following = Legs::new(&skeleton()).start(60);
+        let mut animation = following.push(solved, positions);
+        animation.append(following.end());
         let posed = forward(&skeleton(), &animation).unwrap();
         (animation, posed)
     }

@@ -14,44 +14,90 @@ pub const FRAME_RATES: [u32; 4] = [20, 24, 30, 60];
 /// # Errors
 /// [`MotionError::FrameRate`] if `fps` is not one of [`FRAME_RATES`].
 pub fn resample(animation: &Animation, fps: u32) -> Result<Animation, MotionError> {
-    if !FRAME_RATES.contains(&fps) || animation.fps == 0 {
-        return Err(MotionError::FrameRate { got: fps });
+    let mut resampler = Resampler::new(animation.fps, fps)?;
+    let mut resampled = resampler.push(animation.clone());
+    resampled.append(resampler.end());
+    Ok(resampled)
+}
+
+/// [`resample`], piece by piece: a frame leaves once the one behind it is known.
+#[derive(Clone, Debug)]
+pub(super) struct Resampler {
+    from: u64,
+    to: u64,
+    /// The next frame to leave.
+    next: u64,
+    /// Number of frames before those that are kept.
+    gone: u64,
+    kept: Animation,
+    last: Vec<Quat>,
+}
+
+impl Resampler {
+    /// # Errors
+    /// As [`resample`].
+    pub(super) fn new(from: u32, to: u32) -> Result<Self, MotionError> {
+        if !FRAME_RATES.contains(&to) || from == 0 {
+            return Err(MotionError::FrameRate { got: to });
+        }
+        Ok(Self {
+            from: from.into(),
+            to: to.into(),
+            next: 0,
+            gone: 0,
+            kept: Animation::empty(from),
+            last: Vec::new(),
+        })
     }
-    if fps == animation.fps {
-        return Ok(animation.clone());
+
+    pub(super) fn push(&mut self, animation: Animation) -> Animation {
+        if self.from == self.to {
+            return animation;
+        }
+        self.kept.append(animation);
+        let known = self.gone + self.kept.root.len() as u64;
+        // Of the last frame that is known it is not known what follows.
+        self.leave(known.saturating_sub(1))
     }
-    let (from, to) = (u64::from(animation.fps), u64::from(fps));
-    let before = animation.root.len().min(animation.rotations.len());
-    let frames = (before as u64 * to).div_ceil(from);
-    let mut root = Vec::with_capacity(before);
-    let mut rotations: Vec<Vec<Quat>> = Vec::with_capacity(before);
-    for frame in 0..frames {
-        // In whole numbers, so that frames which exist are taken as they are however long the dance.
-        let (index, rest) = (frame * from / to, frame * from % to);
-        let here = (index as usize).min(before - 1);
-        let next = (here + 1).min(before - 1);
-        let part = rest as f32 / to as f32;
-        root.push(animation.root[here].lerp(animation.root[next], part));
-        let mut pose: Vec<Quat> = animation.rotations[here]
-            .iter()
-            .zip(&animation.rotations[next])
-            .map(|(&a, &b)| a.slerp(b, part).normalize())
-            .collect();
-        // Frames that were neighbours no longer are.
-        if let Some(last) = rotations.last() {
-            for (q, &before) in pose.iter_mut().zip(last) {
+
+    /// The rest.
+    pub(super) fn end(&mut self) -> Animation {
+        self.leave(self.gone + self.kept.root.len() as u64)
+    }
+
+    /// Lets all leave that lie before the frame `end` of those that came in.
+    fn leave(&mut self, end: u64) -> Animation {
+        let mut resampled = Animation::empty(self.to as u32);
+        while self.next * self.from / self.to < end {
+            // In whole numbers, so that frames which exist are taken as they are however long the dance.
+            let (index, rest) = (
+                self.next * self.from / self.to,
+                self.next * self.from % self.to,
+            );
+            let here = (index - self.gone) as usize;
+            let next = (here + 1).min(self.kept.root.len() - 1);
+            let part = rest as f32 / self.to as f32;
+            let Animation {
+                root, rotations, ..
+            } = &self.kept;
+            resampled.root.push(root[here].lerp(root[next], part));
+            let pairs = rotations[here].iter().zip(&rotations[next]);
+            let mut pose: Vec<Quat> = pairs.map(|(&a, &b)| a.slerp(b, part).normalize()).collect();
+            // Frames that were neighbours no longer are.
+            for (q, &before) in pose.iter_mut().zip(&self.last) {
                 if q.dot(before) < 0.0 {
                     *q = -*q;
                 }
             }
+            self.last.clone_from(&pose);
+            resampled.rotations.push(pose);
+            self.next += 1;
         }
-        rotations.push(pose);
+        let done = (self.next * self.from / self.to).min(end) - self.gone;
+        self.kept.take_front(done as usize);
+        self.gone += done;
+        resampled
     }
-    Ok(Animation {
-        fps,
-        root,
-        rotations,
-    })
 }
 
 #[cfg(test)]

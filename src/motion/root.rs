@@ -15,7 +15,15 @@ use super::{MotionError, Positions};
 /// NaN or an infinity, including a sum that overflows.
 pub fn integrate_root(
     decoded: ArrayView2<'_, f32>,
-    start: [f32; 3],
+    mut start: [f32; 3],
+) -> Result<Positions, MotionError> {
+    walk_on(decoded, &mut start)
+}
+
+/// [`integrate_root`] of a piece that starts at `root`, which is moved on to the frame behind its last.
+pub(super) fn walk_on(
+    decoded: ArrayView2<'_, f32>,
+    root: &mut [f32; 3],
 ) -> Result<Positions, MotionError> {
     let (frames, columns) = decoded.dim();
     if columns == 0 || columns % 3 != 0 {
@@ -25,7 +33,6 @@ pub fn integrate_root(
         });
     }
     let mut positions = Positions::zeros((frames, columns / 3, 3));
-    let mut root = start;
     for (row, mut pose) in decoded.outer_iter().zip(positions.outer_iter_mut()) {
         for (axis, coordinate) in root.iter_mut().enumerate() {
             for joint in 1..columns / 3 {

@@ -14,6 +14,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::{
     config::{Limits, Seconds},
     error::ServerError,
+    metrics::{Counted, SharedMetrics},
 };
 
 /// Service times that the median is taken of: enough to be steady, few enough to follow a change.
@@ -28,20 +29,35 @@ pub(crate) struct Admission {
     running: usize,
     waiting: AtomicUsize,
     queue: usize,
+    metrics: SharedMetrics,
     // Held only to push or copy a few numbers, never over an await.
     served: Mutex<VecDeque<Duration>>,
 }
 
 impl Admission {
-    pub(crate) fn new(limits: &Limits) -> Arc<Self> {
+    pub(crate) fn new(limits: &Limits, metrics: SharedMetrics) -> Arc<Self> {
         let running = limits.max_concurrent_requests.get();
         Arc::new(Self {
             slots: Arc::new(Semaphore::new(running)),
             running,
             waiting: AtomicUsize::new(0),
             queue: limits.queue,
+            metrics,
             served: Mutex::new(VecDeque::with_capacity(REMEMBERED)),
         })
+    }
+
+    /// Refuses at once who would find the line full: nothing is read of a body that nobody can use.
+    ///
+    /// # Errors
+    /// [`ServerError::QueueFull`].
+    pub(crate) fn check_room(&self) -> Result<(), ServerError> {
+        let full = self.slots.available_permits() == 0
+            && self.waiting.load(Ordering::SeqCst) >= self.queue;
+        match full {
+            true => Err(self.full()),
+            false => Ok(()),
+        }
     }
 
     /// Waits for a place to work in, first come first served.
@@ -54,6 +70,7 @@ impl Admission {
             return Ok(self.permit(slot, asked));
         }
         let place = self.wait_in_line()?;
+        let _waiting = Counted::new(&self.metrics.queue_waiting);
         let slot = Arc::clone(&self.slots)
             .acquire_owned()
             .await
@@ -62,8 +79,23 @@ impl Admission {
         Ok(self.permit(slot, asked))
     }
 
+    /// Waits as [`Self::admit`] does, in a line that is bounded elsewhere.
+    ///
+    /// # Errors
+    /// None that is known; the semaphore is never closed.
+    pub(crate) async fn admit_patient(self: &Arc<Self>) -> Result<Permit, ServerError> {
+        let asked = Instant::now();
+        let slot = Arc::clone(&self.slots)
+            .acquire_owned()
+            .await
+            .map_err(|closed| ServerError::Internal(closed.to_string()))?;
+        Ok(self.permit(slot, asked))
+    }
+
     fn permit(self: &Arc<Self>, slot: OwnedSemaphorePermit, asked: Instant) -> Permit {
+        self.metrics.waited(asked.elapsed());
         Permit {
+            _running: Counted::new(&self.metrics.running),
             admission: Arc::clone(self),
             waited: asked.elapsed(),
             since: Instant::now(),
@@ -79,10 +111,14 @@ impl Admission {
             .map(|_| PlaceInLine {
                 waiting: &self.waiting,
             })
-            .map_err(|_| ServerError::QueueFull {
-                queue: self.queue,
-                retry_after: self.retry_after(),
-            })
+            .map_err(|_| self.full())
+    }
+
+    fn full(&self) -> ServerError {
+        ServerError::QueueFull {
+            queue: self.queue,
+            retry_after: self.retry_after(),
+        }
     }
 
     /// When a new request would probably find a place: the line's length times the median service
@@ -130,6 +166,7 @@ pub(crate) struct Permit {
     /// Time spent waiting for it.
     pub(crate) waited: Duration,
     since: Instant,
+    _running: Counted,
     _slot: OwnedSemaphorePermit,
 }
 
@@ -152,11 +189,12 @@ mod tests {
     use super::*;
 
     fn admission(running: usize, queue: usize) -> Arc<Admission> {
-        Admission::new(&Limits {
+        let limits = Limits {
             max_concurrent_requests: NonZeroUsize::new(running).unwrap(),
             queue,
             ..Limits::default()
-        })
+        };
+        Admission::new(&limits, SharedMetrics::default())
     }
 
     #[tokio::test]

@@ -1,16 +1,19 @@
 //! What every request and answer wears: an id, a trace, a total time, one error shape.
 
-use std::{any::Any, time::Duration};
+use std::{
+    any::Any,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use axum::{
     Router,
     body::Body,
-    extract::Request,
-    http::{HeaderName, HeaderValue, Response},
+    extract::{MatchedPath, Request, State},
+    http::{HeaderName, HeaderValue, Method, Response},
     middleware::{self, Next},
     response::IntoResponse,
 };
-use std::time::Instant;
 use tower::ServiceBuilder;
 use tower_http::{
     catch_panic::CatchPanicLayer,
@@ -19,14 +22,19 @@ use tower_http::{
 };
 use tracing::Span;
 
-use super::error::{ServerError, write_body};
+use super::{
+    error::{Report, ServerError, write_body},
+    state::SharedState,
+};
 
 pub(crate) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 const TOTAL_TIME: HeaderName = HeaderName::from_static("x-total-time");
 const LONGEST_REQUEST_ID: usize = 128;
 
-/// Puts `router` into its layers, outermost first: id, trace, error shape and time, panics.
-pub(crate) fn wrap(router: Router) -> Router {
+/// Puts `router` into its layers, outermost first: id, trace, error shape, time and count, panics.
+pub(crate) fn wrap(router: Router, state: &SharedState) -> Router {
+    let state = Arc::clone(state);
+    // Around each route, so that its pattern is known; and the same around what has none.
     router.layer(
         ServiceBuilder::new()
             .map_request(drop_odd_request_id)
@@ -41,7 +49,7 @@ pub(crate) fn wrap(router: Router) -> Router {
                     .on_eos(())
                     .on_failure(()),
             )
-            .layer(middleware::from_fn(finish))
+            .layer(middleware::from_fn_with_state(state, finish))
             .layer(CatchPanicLayer::custom(answer_panic)),
     )
 }
@@ -65,7 +73,7 @@ fn drop_odd_request_id(mut request: Request) -> Request {
     request
 }
 
-fn request_id(request: &Request) -> &str {
+pub(crate) fn request_id(request: &Request) -> &str {
     request
         .extensions()
         .get::<RequestId>()
@@ -91,16 +99,41 @@ fn log_response<B>(response: &Response<B>, latency: Duration, _span: &Span) {
     );
 }
 
-async fn finish(request: Request, next: Next) -> Response<Body> {
+async fn finish(State(state): State<SharedState>, request: Request, next: Next) -> Response<Body> {
     let started = Instant::now();
     let id = request_id(&request).to_owned();
+    let method = method_name(request.method());
+    let route = request
+        .extensions()
+        .get::<MatchedPath>()
+        .map_or("other", MatchedPath::as_str)
+        .to_owned();
     let mut response = next.run(request).await;
+    let status = response.status().as_u16();
+    state
+        .metrics
+        .answered(&route, method, status, started.elapsed());
+    if let Some(report) = response.extensions().get::<Report>() {
+        state.metrics.rejected(report.error_type);
+    }
     if response.status().is_client_error() || response.status().is_server_error() {
         response = write_body(response, &id);
     }
     let total = time_header(started.elapsed());
     response.headers_mut().insert(TOTAL_TIME, total);
     response
+}
+
+/// Methods that we know; anybody can make others up.
+fn method_name(method: &Method) -> &'static str {
+    match *method {
+        Method::GET => "GET",
+        Method::HEAD => "HEAD",
+        Method::POST => "POST",
+        Method::DELETE => "DELETE",
+        Method::OPTIONS => "OPTIONS",
+        _ => "other",
+    }
 }
 
 fn answer_panic(panic: Box<dyn Any + Send>) -> Response<Body> {

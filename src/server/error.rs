@@ -25,6 +25,24 @@ pub struct ErrorBody {
     pub request_id: String,
 }
 
+/// Last event of a stream that went wrong.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub(crate) struct ErrorEvent {
+    /// `error`.
+    event: &'static str,
+    #[serde(flatten)]
+    body: ErrorBody,
+}
+
+impl ErrorEvent {
+    pub(crate) fn new(error: &ServerError, request_id: &str) -> Self {
+        Self {
+            event: "error",
+            body: error.report().body(request_id),
+        }
+    }
+}
+
 /// Anything that keeps a request from its result.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ServerError {
@@ -60,6 +78,28 @@ pub(crate) enum ServerError {
     UnsupportedMedia(String),
     #[error("{queue} requests are waiting already: try again in {} s", retry_after.retry_after())]
     QueueFull { queue: usize, retry_after: Seconds },
+    #[error("{most} uploads are on their way already: try again in {} s", retry_after.retry_after())]
+    TooManyUploads { most: usize, retry_after: Seconds },
+    #[error("uploads take all of the {memory} that the server holds for them: try again in {} s", retry_after.retry_after())]
+    UploadMemory {
+        memory: ByteSize,
+        retry_after: Seconds,
+    },
+    #[error("you have made more requests than the {per_minute} a minute that are allowed: try again in {} s", retry_after.retry_after())]
+    RateLimited {
+        per_minute: u32,
+        retry_after: Seconds,
+    },
+    #[error("{most} jobs are kept already: fetch and delete finished ones, or try again in {} s", retry_after.retry_after())]
+    TooManyJobs { most: usize, retry_after: Seconds },
+    #[error("an API key is needed: send it as `Authorization: Bearer KEY` or `X-API-Key: KEY`")]
+    KeyMissing,
+    #[error("this API key is not known here")]
+    KeyWrong,
+    #[error("there is no job {id}: it was deleted, has expired, or never was")]
+    NoJob { id: String },
+    #[error("job {id} is not done: it is {state}")]
+    JobNotDone { id: String, state: &'static str },
     #[error("the server is shutting down: try again in {} s", retry_after.retry_after())]
     Draining { retry_after: Seconds },
     #[error("the model is being loaded: try again in {} s", retry_after.retry_after())]
@@ -87,8 +127,21 @@ impl From<EngineError> for ServerError {
 /// [`ErrorBody`] of it.
 #[derive(Clone, Debug)]
 pub(crate) struct Report {
+    pub(crate) status: StatusCode,
     pub(crate) message: String,
     pub(crate) error_type: &'static str,
+    retry_after: Option<u64>,
+}
+
+impl Report {
+    /// The body of an answer, or of a part of one.
+    pub(crate) fn body(&self, request_id: &str) -> ErrorBody {
+        ErrorBody {
+            error: self.message.clone(),
+            error_type: self.error_type.to_owned(),
+            request_id: request_id.to_owned(),
+        }
+    }
 }
 
 impl ServerError {
@@ -107,6 +160,14 @@ impl ServerError {
                 (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type")
             }
             Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full"),
+            Self::TooManyUploads { .. } => (StatusCode::TOO_MANY_REQUESTS, "too_many_uploads"),
+            Self::UploadMemory { .. } => (StatusCode::TOO_MANY_REQUESTS, "upload_memory"),
+            Self::RateLimited { .. } => (StatusCode::TOO_MANY_REQUESTS, "rate_limited"),
+            Self::TooManyJobs { .. } => (StatusCode::TOO_MANY_REQUESTS, "too_many_jobs"),
+            Self::KeyMissing => (StatusCode::UNAUTHORIZED, "missing_api_key"),
+            Self::KeyWrong => (StatusCode::UNAUTHORIZED, "wrong_api_key"),
+            Self::NoJob { .. } => (StatusCode::NOT_FOUND, "no_such_job"),
+            Self::JobNotDone { .. } => (StatusCode::CONFLICT, "job_not_done"),
             Self::Draining { .. } => (StatusCode::SERVICE_UNAVAILABLE, "draining"),
             Self::Loading { .. } => (StatusCode::SERVICE_UNAVAILABLE, "loading"),
             Self::ModelStopped => (StatusCode::SERVICE_UNAVAILABLE, "model_stopped"),
@@ -119,6 +180,10 @@ impl ServerError {
     fn retry_after(&self) -> Option<Seconds> {
         match self {
             Self::QueueFull { retry_after, .. }
+            | Self::TooManyUploads { retry_after, .. }
+            | Self::UploadMemory { retry_after, .. }
+            | Self::RateLimited { retry_after, .. }
+            | Self::TooManyJobs { retry_after, .. }
             | Self::Draining { retry_after }
             | Self::Loading { retry_after }
             | Self::Timeout { retry_after, .. } => Some(*retry_after),
@@ -176,8 +241,9 @@ fn classify_audio(error: &AudioError) -> (StatusCode, &'static str) {
     }
 }
 
-impl IntoResponse for ServerError {
-    fn into_response(self) -> Response<Body> {
+impl ServerError {
+    /// What a caller is told. Faults of our own are logged here, and not told.
+    pub(crate) fn report(&self) -> Report {
         let (status, error_type) = self.classify();
         let message = if status == StatusCode::INTERNAL_SERVER_ERROR {
             tracing::error!(error = %self, "request failed");
@@ -185,18 +251,43 @@ impl IntoResponse for ServerError {
         } else {
             self.to_string()
         };
-        let retry_after = self.retry_after().map(Seconds::retry_after);
+        Report {
+            status,
+            message,
+            error_type,
+            retry_after: self.retry_after().map(Seconds::retry_after),
+        }
+    }
+
+    /// Whether the work itself did not end, so that it must be stopped.
+    pub(crate) fn stops_work(&self) -> bool {
+        matches!(self, Self::Timeout { .. } | Self::Draining { .. })
+    }
+}
+
+impl IntoResponse for ServerError {
+    fn into_response(self) -> Response<Body> {
+        let mut response = self.report().into_response();
+        if response.status() == StatusCode::UNAUTHORIZED {
+            let scheme = HeaderValue::from_static("Bearer");
+            response
+                .headers_mut()
+                .insert(header::WWW_AUTHENTICATE, scheme);
+        }
+        response
+    }
+}
+
+impl IntoResponse for Report {
+    fn into_response(self) -> Response<Body> {
         let mut response = Response::new(Body::empty());
-        *response.status_mut() = status;
-        if let Some(seconds) = retry_after {
+        *response.status_mut() = self.status;
+        if let Some(seconds) = self.retry_after {
             response
                 .headers_mut()
                 .insert(header::RETRY_AFTER, HeaderValue::from(seconds));
         }
-        response.extensions_mut().insert(Report {
-            message,
-            error_type,
-        });
+        response.extensions_mut().insert(self);
         response
     }
 }
@@ -205,27 +296,24 @@ impl IntoResponse for ServerError {
 /// or a layer's) keeps its status and gets the message that fits it.
 pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response<Body> {
     let (mut parts, _) = response.into_parts();
-    let Report {
-        message,
-        error_type,
-    } = parts.extensions.remove().unwrap_or_else(|| Report {
-        message: parts
-            .status
-            .canonical_reason()
-            .unwrap_or("the request cannot be answered")
-            .to_lowercase(),
-        error_type: match parts.status {
-            StatusCode::NOT_FOUND => "not_found",
-            status if status.is_server_error() => "internal",
-            _ => "invalid_request",
-        },
-    });
-    let body = serde_json::json!(ErrorBody {
-        error: message,
-        error_type: error_type.to_owned(),
-        request_id: request_id.to_owned(),
-    })
-    .to_string();
+    let report = parts
+        .extensions
+        .remove::<Report>()
+        .unwrap_or_else(|| Report {
+            status: parts.status,
+            retry_after: None,
+            message: parts
+                .status
+                .canonical_reason()
+                .unwrap_or("the request cannot be answered")
+                .to_lowercase(),
+            error_type: match parts.status {
+                StatusCode::NOT_FOUND => "not_found",
+                status if status.is_server_error() => "internal",
+                _ => "invalid_request",
+            },
+        });
+    let body = serde_json::json!(report.body(request_id)).to_string();
     parts.headers.remove(header::CONTENT_LENGTH);
     parts.headers.insert(
         header::CONTENT_TYPE,

@@ -21,6 +21,11 @@ impl Lifecycle {
         (!self.is_draining()).then_some(token)
     }
 
+    /// Registers what belongs to a request that was accepted before, also while draining.
+    pub(crate) fn go_on(&self) -> TaskTrackerToken {
+        self.requests.token()
+    }
+
     pub(crate) fn is_draining(&self) -> bool {
         self.draining.is_cancelled()
     }

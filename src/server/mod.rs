@@ -1,33 +1,46 @@
 //! HTTP: routes, limits, errors, OpenAPI.
 //!
-//! A request's way: [`envelope`](self) (id, trace, error shape) → handler → checks that cost nothing
-//! → admission (a permit, or a place in line, or 429) → body → engine on a blocking thread → answer.
+//! A request's way: `connection` (heads and peers in time) → `envelope` (id, trace, count, error shape) →
+//! `access` (key, rate) → handler → `intake` (checks that cost nothing, a place for the body, the body) →
+//! `admission` (a permit, or a place in line, or 429) → `work` (the engine, on a blocking thread) → answer.
 
+mod access;
 mod admission;
 mod body;
 mod config;
+mod connection;
 mod envelope;
 mod error;
 mod info;
+mod intake;
+mod jobs;
 mod lifecycle;
-mod logging;
 mod media;
+mod metrics;
 mod negotiate;
 mod openapi;
 mod options;
 mod outgoing;
+mod process;
+mod room;
 mod router;
 mod routes;
 mod serve;
 mod state;
 mod stop;
+mod telemetry;
 mod upload;
+mod uploads;
 mod warnings;
+mod watch;
+mod work;
 
-pub use config::{ByteSize, Limits, LimitsError, Seconds, ServerConfig};
+pub use access::Access;
+pub use config::{ApiKey, ByteSize, KeysError, Limits, LimitsError, Seconds, ServerConfig};
 pub use error::ErrorBody;
-pub use logging::init_logging;
+pub use metrics::Metrics;
 pub use openapi::openapi_json;
 pub use router::router;
-pub use serve::{ServeError, run, start};
+pub use serve::{ServeError, Service, run, start};
 pub use state::Generate;
+pub use telemetry::{Telemetry, TelemetryError, init_telemetry};

@@ -5,12 +5,40 @@ use axum::http::{HeaderMap, header};
 use super::{error::ServerError, options::shorten};
 use crate::format::OutputFormat;
 
+/// How an answer is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Shape {
+    pub(crate) format: OutputFormat,
+    /// A stream as lines of JSON, not as server-sent events.
+    pub(crate) lines: bool,
+}
+
+/// Media type of server-sent events.
+pub(crate) const EVENTS: &str = "text/event-stream";
+/// Media type of JSON in lines.
+pub(crate) const LINES: &str = "application/x-ndjson";
+
 /// The format that an `Accept` header prefers (RFC 9110, section 12.5.1); JSON when it has no
 /// preference.
 ///
 /// # Errors
 /// [`ServerError::NotAcceptable`] when none of ours is accepted.
-pub(crate) fn from_accept(headers: &HeaderMap) -> Result<OutputFormat, ServerError> {
+pub(crate) fn dance(headers: &HeaderMap) -> Result<OutputFormat, ServerError> {
+    let ours = OutputFormat::ALL.map(OutputFormat::content_type);
+    let best = preferred(headers, &ours)?;
+    Ok(OutputFormat::ALL.get(best).copied().unwrap_or_default())
+}
+
+/// Whether the `Accept` header prefers lines of JSON to server-sent events.
+///
+/// # Errors
+/// [`ServerError::NotAcceptable`] when it accepts neither.
+pub(crate) fn events_as_lines(headers: &HeaderMap) -> Result<bool, ServerError> {
+    Ok(preferred(headers, &[EVENTS, LINES])? == 1)
+}
+
+/// Which of `ours` an `Accept` header prefers; the first when it has no preference.
+fn preferred(headers: &HeaderMap, ours: &[&str]) -> Result<usize, ServerError> {
     let ranges: Vec<Range> = headers
         .get_all(header::ACCEPT)
         .iter()
@@ -19,16 +47,16 @@ pub(crate) fn from_accept(headers: &HeaderMap) -> Result<OutputFormat, ServerErr
         .filter_map(Range::parse)
         .collect();
     if ranges.is_empty() {
-        return Ok(OutputFormat::Json);
+        return Ok(0);
     }
-    let mut best: Option<(f32, OutputFormat)> = None;
-    for format in OutputFormat::ALL {
-        let quality = quality(&ranges, format.content_type());
+    let mut best: Option<(f32, usize)> = None;
+    for (index, content_type) in ours.iter().enumerate() {
+        let quality = quality(&ranges, content_type);
         if quality > 0.0 && best.is_none_or(|(so_far, _)| quality > so_far) {
-            best = Some((quality, format));
+            best = Some((quality, index));
         }
     }
-    best.map(|(_, format)| format)
+    best.map(|(_, index)| index)
         .ok_or_else(|| ServerError::NotAcceptable {
             asked: shorten(
                 headers
@@ -36,9 +64,7 @@ pub(crate) fn from_accept(headers: &HeaderMap) -> Result<OutputFormat, ServerErr
                     .and_then(|value| value.to_str().ok())
                     .unwrap_or_default(),
             ),
-            available: OutputFormat::ALL
-                .map(OutputFormat::content_type)
-                .join(" and "),
+            available: ours.join(" and "),
         })
 }
 
@@ -92,16 +118,13 @@ mod tests {
     fn accept(text: &'static str) -> Option<OutputFormat> {
         let mut headers = HeaderMap::new();
         headers.insert(header::ACCEPT, HeaderValue::from_static(text));
-        from_accept(&headers).ok()
+        dance(&headers).ok()
     }
 
     #[test]
     fn the_preferred_type_that_we_have_wins() {
         let bvh = OutputFormat::Bvh.content_type();
-        assert_eq!(
-            from_accept(&HeaderMap::new()).ok(),
-            Some(OutputFormat::Json)
-        );
+        assert_eq!(dance(&HeaderMap::new()).ok(), Some(OutputFormat::Json));
         assert_eq!(accept("*/*"), Some(OutputFormat::Json));
         assert_eq!(accept(""), Some(OutputFormat::Json));
         assert_eq!(accept("application/json"), Some(OutputFormat::Json));
@@ -113,6 +136,24 @@ mod tests {
         let mut headers = HeaderMap::new();
         let both = format!("application/json;q=0.5, {bvh}");
         headers.insert(header::ACCEPT, both.parse().unwrap());
-        assert_eq!(from_accept(&headers).ok(), Some(OutputFormat::Bvh));
+        assert_eq!(dance(&headers).ok(), Some(OutputFormat::Bvh));
+    }
+
+    #[test]
+    fn events_are_lines_where_lines_are_preferred() {
+        let lines = |text: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::ACCEPT, HeaderValue::from_static(text));
+            events_as_lines(&headers).ok()
+        };
+        assert_eq!(events_as_lines(&HeaderMap::new()).ok(), Some(false));
+        assert_eq!(lines("*/*"), Some(false));
+        assert_eq!(lines("text/event-stream"), Some(false));
+        assert_eq!(lines("application/x-ndjson"), Some(true));
+        assert_eq!(
+            lines("application/x-ndjson, text/event-stream;q=0.5"),
+            Some(true)
+        );
+        assert_eq!(lines("application/json"), None);
     }
 }

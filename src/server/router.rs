@@ -5,33 +5,72 @@ use std::sync::Arc;
 use axum::{
     Router,
     extract::Request,
-    http::{Method, Uri},
+    http::{HeaderValue, Method, StatusCode, Uri},
+    middleware,
+    response::{IntoResponse, Response},
 };
+use tower_http::cors::{AllowOrigin, Any, CorsLayer};
 use utoipa_swagger_ui::SwaggerUi;
 
 use super::{
+    access::{self, Access},
     config::Limits,
     envelope,
     error::ServerError,
+    metrics::SharedMetrics,
     openapi,
     options::shorten,
     state::{Generate, ServerState, SharedState},
 };
 
 /// The whole service over `engine`, without a listener: what tests drive.
-pub fn router(engine: Arc<dyn Generate>, limits: Limits) -> Router {
-    router_with(ServerState::new(engine, limits))
+pub fn router(engine: Arc<dyn Generate>, limits: Limits, access: Access) -> Router {
+    let state = ServerState::loading(limits, access, SharedMetrics::default());
+    state.finish_loading(engine);
+    router_with(state)
 }
 
 pub(crate) fn router_with(state: SharedState) -> Router {
-    let (routes, document) = openapi::documented().split_for_parts();
+    let working = openapi::working();
+    // Whoever is not let in is told so before anything of the body is read.
+    let let_in = middleware::from_fn_with_state(Arc::clone(&state), access::admit);
+    let (routes, document) = openapi::documented()
+        .merge(working.route_layer(let_in))
+        .split_for_parts();
     let docs = SwaggerUi::new("/docs").url("/api-doc/openapi.json", document);
+    let cors = cors(&state.access.origins);
     let routes = routes
-        .with_state(state)
+        .with_state(Arc::clone(&state))
         .merge(docs)
         .fallback(not_found)
         .method_not_allowed_fallback(method_not_allowed);
-    envelope::wrap(routes)
+    let routes = envelope::wrap(routes, &state);
+    match cors {
+        Some(cors) => routes.layer(cors),
+        None => routes,
+    }
+}
+
+/// Lets pages of these origins call, and read what an answer's head says.
+fn cors(origins: &[String]) -> Option<CorsLayer> {
+    let allowed: Vec<HeaderValue> = origins
+        .iter()
+        .filter_map(|origin| HeaderValue::from_str(origin.trim()).ok())
+        .filter(|origin| !origin.is_empty())
+        .collect();
+    if allowed.is_empty() {
+        return None;
+    }
+    let allowed = match allowed.iter().any(|origin| origin == "*") {
+        true => AllowOrigin::any(),
+        false => AllowOrigin::list(allowed),
+    };
+    let layer = CorsLayer::new()
+        .allow_origin(allowed)
+        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::DELETE])
+        .allow_headers(Any)
+        .expose_headers(Any);
+    Some(layer)
 }
 
 async fn not_found(uri: Uri) -> ServerError {
@@ -40,9 +79,14 @@ async fn not_found(uri: Uri) -> ServerError {
     }
 }
 
-async fn method_not_allowed(method: Method, request: Request) -> ServerError {
+/// `Allow` is added by the router.
+async fn method_not_allowed(method: Method, request: Request) -> Response {
+    if method == Method::OPTIONS {
+        return StatusCode::NO_CONTENT.into_response();
+    }
     ServerError::MethodNotAllowed {
         path: shorten(request.uri().path()),
         method: shorten(method.as_str()),
     }
+    .into_response()
 }

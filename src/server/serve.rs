@@ -6,7 +6,10 @@ use futures_util::{Stream, StreamExt, stream};
 use tokio::net::TcpListener;
 
 use super::{
-    config::{LimitsError, Seconds, ServerConfig},
+    access::Access,
+    config::{KeysError, Limits, LimitsError, Seconds, ServerConfig},
+    connection,
+    metrics::{Metrics, SharedMetrics},
     router::router_with,
     state::{Generate, ServerState},
     stop::Signals,
@@ -26,6 +29,9 @@ pub enum ServeError {
     /// Two limits contradict each other.
     #[error(transparent)]
     Limits(#[from] LimitsError),
+    /// There are no API keys where there should be.
+    #[error(transparent)]
+    Keys(#[from] KeysError),
     /// The operating system gives no threads or no timers.
     #[error("the async runtime cannot be started")]
     Runtime(#[source] io::Error),
@@ -46,7 +52,7 @@ pub enum ServeError {
     /// A defect of ours while the model was loaded.
     #[error("loading the model failed unexpectedly")]
     Load(#[source] tokio::task::JoinError),
-    /// The listener failed.
+    /// The listener has no address.
     #[error("listening failed")]
     Listen(#[source] io::Error),
     /// Requests were cut off when their time was over.
@@ -67,6 +73,17 @@ pub enum ServeError {
     },
 }
 
+/// What a server is started with, apart from its model.
+#[derive(Clone, Debug, Default)]
+pub struct Service {
+    /// What callers may ask for.
+    pub limits: Limits,
+    /// Who is let in.
+    pub access: Access,
+    /// What is counted.
+    pub metrics: Arc<Metrics>,
+}
+
 /// Serves on `listener` until `stop` tells to stop and the requests under way have ended.
 ///
 /// Until `load` has completed, `/health` is answered 200, and `/ready`, `/info` and generations 503.
@@ -78,14 +95,19 @@ pub enum ServeError {
 /// What `load` fails with; [`ServeError::DrainTimeout`] or [`ServeError::Hurried`] when requests had
 /// to be cut off.
 pub async fn run(
-    config: &ServerConfig,
+    service: Service,
     load: impl Future<Output = Result<Arc<dyn Generate>, ServeError>>,
     listener: TcpListener,
     stop: impl Stream<Item = ()>,
 ) -> Result<(), ServeError> {
     let address = listener.local_addr().map_err(ServeError::Listen)?;
-    let timeout = config.limits.shutdown_timeout;
-    let state = ServerState::loading(config.limits.clone());
+    let Service {
+        limits,
+        access,
+        metrics,
+    } = service;
+    let timeout = limits.shutdown_timeout;
+    let state = ServerState::loading(limits.clone(), access, Arc::clone(&metrics));
     let lifecycle = &state.lifecycle;
     // A stream that ends tells nothing more.
     let mut stop = pin!(stop.chain(stream::pending()));
@@ -96,9 +118,8 @@ pub async fn run(
             state.lifecycle.idle().await;
         }
     };
-    let server = axum::serve(listener, router_with(Arc::clone(&state)))
-        .with_graceful_shutdown(idle)
-        .into_future();
+    let router = router_with(Arc::clone(&state));
+    let server = connection::serve(listener, router, &limits, metrics, idle);
     let mut server = pin!(server);
     let load_and_go_on = async {
         let engine = load.await?;
@@ -107,7 +128,7 @@ pub async fn run(
         std::future::pending::<Result<(), ServeError>>().await
     };
     tokio::select! {
-        ended = &mut server => return ended.map_err(ServeError::Listen),
+        () = &mut server => return Ok(()),
         failed = load_and_go_on => return failed,
         _ = stop.next() => {}
     }
@@ -118,7 +139,7 @@ pub async fn run(
         tokio::time::sleep(CONNECTION_GRACE).await;
     };
     let why = tokio::select! {
-        ended = &mut server => return ended.map_err(ServeError::Listen),
+        () = &mut server => return Ok(()),
         () = closed => return Ok(()),
         () = tokio::time::sleep(timeout.0) => Why::Timeout,
         _ = stop.next() => Why::Hurry,
@@ -149,6 +170,11 @@ enum Why {
 /// whether requests were cut off in the end.
 pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
     config.limits.check()?;
+    let service = Service {
+        limits: config.limits.clone(),
+        access: config.access()?,
+        metrics: SharedMetrics::default(),
+    };
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
@@ -162,7 +188,8 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
                 address: format!("{}:{}", config.host, config.port),
                 source,
             })?;
-        run(config, open(config.engine()), listener, signals.stream()).await
+        let load = open(config.engine(Arc::clone(&service.metrics) as _));
+        run(service, load, listener, signals.stream()).await
     });
     // Work that was cut off has been cancelled; it is not waited for.
     runtime.shutdown_timeout(LAST_WORDS);

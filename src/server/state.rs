@@ -1,21 +1,31 @@
 //! What all handlers share.
 
-use std::sync::{Arc, OnceLock};
+use std::{
+    future::Future,
+    sync::{Arc, OnceLock},
+};
 
 use bytes::Bytes;
+use tokio::sync::Semaphore;
 
 use super::{
+    access::{Access, Rates},
     admission::Admission,
     config::{Limits, Seconds},
     error::ServerError,
     info::Info,
+    jobs::{JobStore, MemoryStore},
     lifecycle::Lifecycle,
+    metrics::SharedMetrics,
+    room::Room,
+    uploads::Uploads,
 };
 use crate::{
     CancelToken, Result,
-    engine::{Choreographer, EngineError, GenerationOptions},
+    engine::{Choreographer, Ending, EngineError, GenerationOptions, Listener, Progress},
     format::Dance,
     model::Manifest,
+    motion::Positions,
 };
 
 /// What the server needs of the engine: a seam, so that limits and faults can be tested without a
@@ -47,7 +57,26 @@ pub trait Generate: Send + Sync + 'static {
         audio: Bytes,
         options: &GenerationOptions,
         cancel: &CancelToken,
+        progress: Arc<dyn Progress>,
     ) -> Result<Dance>;
+
+    /// Generates one dance and gives its motion to `listener` as it comes. Blocks.
+    ///
+    /// # Errors
+    /// As [`Generate::generate`].
+    fn stream(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        listener: Arc<dyn Listener>,
+    ) -> Result<Ending>;
+
+    /// What a pair of pose codes looks like, `[frames, joints, 3]` in metres. Blocks.
+    ///
+    /// # Errors
+    /// [`EngineError::Option`] for a code that is not in the vocabulary.
+    fn pose(&self, upper: u32, lower: u32) -> Result<Positions>;
 }
 
 impl Generate for Choreographer {
@@ -72,8 +101,23 @@ impl Generate for Choreographer {
         audio: Bytes,
         options: &GenerationOptions,
         cancel: &CancelToken,
+        progress: Arc<dyn Progress>,
     ) -> Result<Dance> {
-        self.generate(audio, options, cancel)
+        self.generate_with_progress(audio, options, cancel, progress)
+    }
+
+    fn stream(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        listener: Arc<dyn Listener>,
+    ) -> Result<Ending> {
+        self.stream(audio, options, cancel, listener)
+    }
+
+    fn pose(&self, upper: u32, lower: u32) -> Result<Positions> {
+        self.pose(upper, lower)
     }
 }
 
@@ -87,7 +131,18 @@ pub(crate) type SharedState = Arc<ServerState>;
 pub(crate) struct ServerState {
     loaded: OnceLock<Loaded>,
     pub(crate) limits: Limits,
+    pub(crate) access: Access,
+    pub(crate) rates: Option<Rates>,
+    pub(crate) metrics: SharedMetrics,
+    pub(crate) uploads: Uploads,
     pub(crate) admission: Arc<Admission>,
+    /// Seconds of audio that may be worked on.
+    pub(crate) audio: Room,
+    /// Bytes of answers that may wait for their readers.
+    pub(crate) answers: Room,
+    pub(crate) jobs: Box<dyn JobStore>,
+    /// Places to work in that jobs may take.
+    pub(crate) job_slots: Semaphore,
     pub(crate) lifecycle: Lifecycle,
 }
 
@@ -99,23 +154,27 @@ pub(crate) struct Loaded {
 
 impl ServerState {
     /// Without a model yet.
-    pub(crate) fn loading(limits: Limits) -> SharedState {
+    pub(crate) fn loading(limits: Limits, access: Access, metrics: SharedMetrics) -> SharedState {
+        let audio_gauge = metrics.audio_in_flight.clone();
         Arc::new(Self {
             loaded: OnceLock::new(),
-            admission: Admission::new(&limits),
+            rates: Rates::new(&limits),
+            uploads: Uploads::new(&limits, Arc::clone(&metrics)),
+            admission: Admission::new(&limits, Arc::clone(&metrics)),
+            audio: Room::new(limits.audio_seconds_in_flight as u64, Some(audio_gauge)),
+            answers: Room::new(limits.answer_memory.0, None),
+            jobs: Box::new(MemoryStore::new(limits.max_jobs.get(), limits.job_ttl)),
+            job_slots: Semaphore::new(limits.max_concurrent_requests.get().div_ceil(2)),
             lifecycle: Lifecycle::default(),
+            access,
+            metrics,
             limits,
         })
     }
 
-    pub(crate) fn new(engine: Arc<dyn Generate>, limits: Limits) -> SharedState {
-        let state = Self::loading(limits);
-        state.finish_loading(engine);
-        state
-    }
-
     /// Takes the model; a second one changes nothing.
     pub(crate) fn finish_loading(&self, engine: Arc<dyn Generate>) {
+        self.metrics.loaded(&engine.manifest().name);
         self.loaded.get_or_init(|| Loaded {
             info: Info::new(engine.as_ref(), &self.limits),
             engine,
@@ -128,6 +187,27 @@ impl ServerState {
         self.loaded.get().ok_or(ServerError::Loading {
             retry_after: LOADING_RETRY,
         })
+    }
+
+    /// What `work` comes to, unless the time for it is over or the server gives up first.
+    pub(crate) async fn in_time<T>(
+        &self,
+        work: impl Future<Output = Result<T, ServerError>>,
+    ) -> Result<T, ServerError> {
+        tokio::select! {
+            done = tokio::time::timeout(self.limits.request_timeout.0, work) => {
+                done.unwrap_or_else(|_| Err(self.timeout()))
+            }
+            () = self.lifecycle.aborted() => Err(self.draining()),
+        }
+    }
+
+    /// The answer to a request whose time is over.
+    pub(crate) fn timeout(&self) -> ServerError {
+        ServerError::Timeout {
+            limit: self.limits.request_timeout,
+            retry_after: self.admission.retry_after(),
+        }
     }
 
     /// The answer to new requests once the server was told to stop.

@@ -14,6 +14,7 @@ use super::{
     error::ServerError,
     media::{Media, is_lossless},
     options::{LONGEST_VALUE, RequestOptions, shorten},
+    uploads::UploadPermit,
 };
 
 /// What a form may hold beside the audio: boundaries, part headers, option values.
@@ -51,19 +52,21 @@ pub(crate) async fn receive(
     media: Media,
     options: RequestOptions,
     limits: &Limits,
+    permit: &mut UploadPermit,
 ) -> Result<Upload, ServerError> {
     let body = body.limited(most_bytes(media, limits));
     let upload = match media {
         Media::Raw => {
-            let mut audio = AudioBuffer::new(limits, body.declared());
+            let mut audio = AudioBuffer::new(limits, permit, body.declared());
             collect(&mut audio, body, |error| body_error(&error, limits)).await?;
             Upload {
                 audio: audio.finish(),
                 options,
             }
         }
-        Media::Form => receive_form(parts, body, options, limits).await?,
+        Media::Form => receive_form(parts, body, options, limits, permit).await?,
     };
+    permit.received();
     if upload.audio.is_empty() {
         return Err(ServerError::MissingAudio);
     }
@@ -83,6 +86,7 @@ async fn receive_form(
     body: IncomingBody,
     mut options: RequestOptions,
     limits: &Limits,
+    permit: &mut UploadPermit,
 ) -> Result<Upload, ServerError> {
     let mut request = Request::from_parts(parts, Body::from_stream(body));
     // Our own limits are larger than the framework's default of 2 MB, and finer.
@@ -103,7 +107,7 @@ async fn receive_form(
                     "part `file` was sent more than once: send one song".to_owned(),
                 ));
             }
-            let mut buffer = AudioBuffer::new(limits, None);
+            let mut buffer = AudioBuffer::new(limits, permit, None);
             collect(&mut buffer, field, |error| form_error(&error, limits)).await?;
             audio = Some(buffer.finish());
         } else {
@@ -144,19 +148,21 @@ async fn collect<E>(
 }
 
 /// Collects audio up to the limit that its first bytes give it.
-struct AudioBuffer<'limits> {
+struct AudioBuffer<'a> {
     bytes: BytesMut,
+    permit: &'a mut UploadPermit,
     // Believed only where it is too large: nothing is reserved for it.
     declared: u64,
-    limits: &'limits Limits,
+    limits: &'a Limits,
 }
 
-impl<'limits> AudioBuffer<'limits> {
+impl<'a> AudioBuffer<'a> {
     /// Bytes that tell wav and flac.
     const PREFIX: usize = 12;
 
-    fn new(limits: &'limits Limits, declared: Option<u64>) -> Self {
+    fn new(limits: &'a Limits, permit: &'a mut UploadPermit, declared: Option<u64>) -> Self {
         Self {
+            permit,
             bytes: BytesMut::new(),
             declared: declared.unwrap_or_default(),
             limits,
@@ -169,6 +175,7 @@ impl<'limits> AudioBuffer<'limits> {
         if total.max(self.declared) > limit.0 {
             return Err(too_large(limit, self.limits));
         }
+        self.permit.hold(chunk.len())?;
         self.bytes.extend_from_slice(chunk);
         Ok(())
     }

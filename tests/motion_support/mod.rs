@@ -102,5 +102,6 @@ pub(crate) fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> Dance 
             ..Timings::default()
         },
         warnings: vec!["0.1 s of silence were trimmed".into()],
+        tail: None,
     }
 }

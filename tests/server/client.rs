@@ -7,7 +7,7 @@ use axum::{
     body::Body,
     http::{HeaderMap, Method, Request, StatusCode, header},
 };
-use bailando::server::{Generate, Limits, router};
+use bailando::server::{Access, Generate, Limits, router};
 use http_body_util::BodyExt;
 use serde_json::Value;
 use tower::ServiceExt;
@@ -66,7 +66,13 @@ pub(crate) fn small_limits() -> Limits {
 }
 
 pub(crate) fn app(engine: &Arc<impl Generate>, limits: &Limits) -> Router {
-    router(Arc::clone(engine) as Arc<dyn Generate>, limits.clone())
+    app_for(engine, limits, Access::default())
+}
+
+/// With keys and origins.
+pub(crate) fn app_for(engine: &Arc<impl Generate>, limits: &Limits, access: Access) -> Router {
+    let engine = Arc::clone(engine) as Arc<dyn Generate>;
+    router(engine, limits.clone(), access)
 }
 
 pub(crate) async fn send(app: &Router, request: Request<Body>) -> Answer {
@@ -85,9 +91,14 @@ pub(crate) async fn get(app: &Router, path: &str) -> Answer {
 
 /// `POST /generate?query` with the audio as the body.
 pub(crate) fn raw(query: &str, audio: impl Into<Body>) -> Request<Body> {
+    post("/generate", query, audio)
+}
+
+/// `POST path?query` with the audio as the body.
+pub(crate) fn post(path: &str, query: &str, audio: impl Into<Body>) -> Request<Body> {
     Request::builder()
         .method(Method::POST)
-        .uri(format!("/generate?{query}"))
+        .uri(format!("{path}?{query}"))
         .header(header::CONTENT_TYPE, "audio/mpeg")
         .body(audio.into())
         .unwrap()

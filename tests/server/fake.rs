@@ -12,25 +12,30 @@ use std::{
 
 use bailando::{
     CancelToken, Result,
-    engine::{DEFAULT_BATCH, EngineError, GenerationOptions},
+    engine::{
+        DEFAULT_BATCH, Ending, EngineError, GenerationOptions, Listener, Opening, Progress, Stage,
+    },
     features::Profile,
-    format::{Codes, Dance, MusicInfo, PositionsSource, Timings},
+    format::{Codes, Dance, MusicInfo, PositionsSource, Tail, Timings},
     model::{
         DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults, Vocabulary,
         WeightStorage, WindowKind,
     },
-    motion::{Animation, MotionFrame, Skeleton},
+    motion::{Animation, FinishOptions, Finisher, MotionFrame, Positions, Skeleton},
     server::Generate,
 };
 use bytes::Bytes;
 use glam::{Quat, Vec3};
-use ndarray::Array3;
+use ndarray::{Array2, Array3};
 use tokio::sync::Semaphore;
 
 /// Audio that makes the fake wait until [`Fake::release`].
 pub(crate) const BLOCK: &[u8] = b"block";
 /// Audio that makes the fake panic.
 pub(crate) const PANIC: &[u8] = b"panic";
+
+/// Audio that makes the fake panic after the first frames of a stream.
+pub(crate) const LATE_PANIC: &[u8] = b"late panic";
 
 /// Dances 0.1 s to anything.
 pub(crate) struct Fake {
@@ -125,9 +130,11 @@ impl Generate for Fake {
         audio: Bytes,
         options: &GenerationOptions,
         cancel: &CancelToken,
+        progress: Arc<dyn Progress>,
     ) -> Result<Dance> {
         let _end = CountEnd(&self.ended);
         self.generations.fetch_add(1, Ordering::SeqCst);
+        progress.stage(Stage::Decoding);
         self.started.add_permits(1);
         if audio.starts_with(BLOCK) {
             self.block(cancel)?;
@@ -135,8 +142,76 @@ impl Generate for Fake {
         if audio.starts_with(PANIC) {
             panic_any("a panic that the test wants");
         }
+        progress.decoded(0.1);
+        progress.stage(Stage::Generating);
+        progress.codes(1, 1);
         self.heard.lock().unwrap().push(audio);
         Ok(dance(options))
+    }
+
+    /// One code's frames, and after them whatever the audio says.
+    fn stream(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        listener: Arc<dyn Listener>,
+    ) -> Result<Ending> {
+        let _end = CountEnd(&self.ended);
+        self.generations.fetch_add(1, Ordering::SeqCst);
+        listener.stage(Stage::Decoding);
+        if audio.starts_with(PANIC) {
+            panic_any("a panic that the test wants");
+        }
+        listener.decoded(0.1);
+        let dance = dance(options);
+        let finish = FinishOptions {
+            fps: options.fps,
+            ..FinishOptions::default()
+        };
+        listener.opened(Opening {
+            model: dance.model,
+            seed: dance.seed,
+            skeleton: dance.skeleton.clone(),
+            fps: options.fps,
+            frames: 8 * options.fps as usize / 60,
+            positions_source: dance.positions_source,
+            music: dance.music,
+            timings: dance.timings,
+            warnings: dance.warnings,
+            finisher: Finisher::new(&dance.skeleton, &finish)?,
+        });
+        listener.stage(Stage::Generating);
+        let joints = dance.skeleton.joints.len();
+        listener.frames(Array2::from_shape_fn((8, 3 * joints), |(_, column)| {
+            if column % 3 == 1 {
+                0.1 * column as f32
+            } else {
+                0.0
+            }
+        }));
+        self.started.add_permits(1);
+        if audio.starts_with(BLOCK) {
+            self.block(cancel)?;
+        }
+        if audio.starts_with(LATE_PANIC) {
+            panic_any("a panic that the test wants");
+        }
+        self.heard.lock().unwrap().push(audio);
+        Ok(Ending {
+            tail: Tail::new(self.model_sha256(), dance.codes.clone(), [0.0; 2], 0.0),
+            codes: dance.codes,
+            timings: dance.timings,
+        })
+    }
+
+    fn pose(&self, upper: u32, lower: u32) -> Result<Positions> {
+        self.check(&GenerationOptions {
+            start_upper: Some(upper),
+            start_lower: Some(lower),
+            ..GenerationOptions::default()
+        })?;
+        Ok(dance(&GenerationOptions::default()).positions)
     }
 }
 
@@ -233,5 +308,14 @@ fn dance(options: &GenerationOptions) -> Dance {
             motion: Duration::from_micros(500),
         },
         warnings: vec!["a warning".into()],
+        tail: Some(Tail::new(
+            "0123",
+            Codes {
+                upper: vec![1],
+                lower: vec![2],
+            },
+            [0.0; 2],
+            0.0,
+        )),
     }
 }

@@ -9,7 +9,7 @@ use std::{
 };
 
 use bailando::engine::EngineError;
-use bailando::server::{Generate, Limits, Seconds, ServeError, ServerConfig, run};
+use bailando::server::{Generate, Limits, Seconds, ServeError, Service, run};
 use futures_util::stream;
 use tokio::{
     net::TcpListener,
@@ -25,14 +25,14 @@ use crate::{
 /// Far more than is needed, far less than the time for which requests are waited for.
 const LONG: Duration = Duration::from_secs(15);
 
-struct Server {
-    address: SocketAddr,
+pub(crate) struct Server {
+    pub(crate) address: SocketAddr,
     stop: mpsc::UnboundedSender<()>,
-    task: JoinHandle<Result<(), ServeError>>,
+    pub(crate) task: JoinHandle<Result<(), ServeError>>,
 }
 
 impl Server {
-    async fn start(fake: &Arc<Fake>, limits: Limits) -> Self {
+    pub(crate) async fn start(fake: &Arc<Fake>, limits: Limits) -> Self {
         let engine = Arc::clone(fake) as Arc<dyn Generate>;
         Self::loading(async { Ok(engine) }, limits).await
     }
@@ -45,14 +45,14 @@ impl Server {
         let address = listener.local_addr().unwrap();
         let (stop, told) = mpsc::unbounded_channel();
         let task = tokio::spawn(async move {
-            let config = ServerConfig {
+            let service = Service {
                 limits,
-                ..ServerConfig::default()
+                ..Service::default()
             };
             let told = stream::unfold(told, |mut told| async {
                 told.recv().await.map(|()| ((), told))
             });
-            run(&config, load, listener, told).await
+            run(service, load, listener, told).await
         });
         Self {
             address,
@@ -61,11 +61,11 @@ impl Server {
         }
     }
 
-    fn stop(&self) {
+    pub(crate) fn stop(&self) {
         self.stop.send(()).unwrap();
     }
 
-    async fn expect(&self, request: Vec<u8>, status: u16) -> String {
+    pub(crate) async fn expect(&self, request: Vec<u8>, status: u16) -> String {
         let answer = self.exchange(request).await.unwrap();
         let wanted = format!("HTTP/1.1 {status}");
         assert!(answer.starts_with(&wanted), "wanted {wanted}: {answer:?}");
@@ -73,7 +73,7 @@ impl Server {
     }
 
     /// Sends bytes as they are, and reads until the server closes.
-    fn exchange(&self, request: Vec<u8>) -> JoinHandle<String> {
+    pub(crate) fn exchange(&self, request: Vec<u8>) -> JoinHandle<String> {
         let address = self.address;
         tokio::task::spawn_blocking(move || {
             let mut stream = TcpStream::connect(address).unwrap();
@@ -89,13 +89,17 @@ impl Server {
     }
 }
 
-fn get(path: &str) -> Vec<u8> {
+pub(crate) fn get(path: &str) -> Vec<u8> {
     format!("GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").into_bytes()
 }
 
-fn post(audio: &[u8]) -> Vec<u8> {
+pub(crate) fn post(audio: &[u8]) -> Vec<u8> {
+    post_to("/generate", audio)
+}
+
+pub(crate) fn post_to(path: &str, audio: &[u8]) -> Vec<u8> {
     let mut request = format!(
-        "POST /generate HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
+        "POST {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
         audio.len()
     )
     .into_bytes();

@@ -2,7 +2,11 @@
 
 use std::{
     convert::Infallible,
-    sync::{Arc, atomic::Ordering},
+    num::{NonZeroU32, NonZeroUsize},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
     time::{Duration, Instant},
 };
 
@@ -145,36 +149,114 @@ async fn a_full_queue_is_answered_at_once_and_probes_still_pass() {
     assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
 }
 
-/// The permit comes before the body: a queue full of slow uploads costs no memory.
+/// A body that says whether anything of it was read, and never ends.
+fn watched() -> (Body, Arc<AtomicBool>) {
+    let read = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&read);
+    let first = stream::once(async move {
+        told.store(true, Ordering::SeqCst);
+        Ok::<_, Infallible>(Bytes::from_static(b"song"))
+    });
+    (Body::from_stream(first.chain(stream::pending())), read)
+}
+
+/// The permit comes before the body: what nobody can use is not read.
 #[tokio::test]
 async fn no_body_is_read_without_a_permit() {
     let fake = Fake::new();
-    let app = app(&fake, &small_limits());
-    let running = tokio::spawn({
-        let app = app.clone();
-        async move { send(&app, raw("", BLOCK)).await }
-    });
-    fake.wait_started(1).await;
-    let read = Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let body = {
-        let read = Arc::clone(&read);
-        Body::from_stream(stream::once(async move {
-            read.store(true, Ordering::SeqCst);
-            Ok::<_, Infallible>(Bytes::from_static(b"song"))
-        }))
+    let limits = Limits {
+        max_uploads: NonZeroUsize::MIN,
+        ..small_limits()
     };
-    let waiting = tokio::spawn({
+    let app = app(&fake, &limits);
+    // While one upload is on its way, another is refused.
+    let (slow, slow_read) = watched();
+    let uploading = tokio::spawn({
         let app = app.clone();
-        async move { send(&app, raw("", body)).await }
+        async move { send(&app, raw("", slow)).await }
     });
-    for _ in 0..100 {
+    while !slow_read.load(Ordering::SeqCst) {
         tokio::task::yield_now().await;
     }
+    let (body, read) = watched();
+    let refused = send(&app, raw("", body)).await;
+    refused.expect_error(429, "too_many_uploads");
+    assert!(!read.load(Ordering::SeqCst));
+    uploading.abort();
+    assert!(uploading.await.unwrap_err().is_cancelled());
+    // And so it is where the line is full.
+    let mut blocked = JoinSet::new();
+    for _ in 0..2 {
+        let app = app.clone();
+        blocked.spawn(async move { send(&app, raw("", BLOCK)).await });
+        fake.wait_started(u32::from(blocked.len() == 1)).await;
+        for _ in 0..100 {
+            tokio::task::yield_now().await;
+        }
+    }
+    let (body, read) = watched();
+    let refused = send(&app, raw("", body)).await;
+    refused.expect_error(429, "queue_full");
     assert!(!read.load(Ordering::SeqCst));
     fake.release();
-    assert_eq!(running.await.unwrap().status, StatusCode::OK);
-    assert_eq!(waiting.await.unwrap().status, StatusCode::OK);
-    assert!(read.load(Ordering::SeqCst));
+    for answer in blocked.join_all().await {
+        assert_eq!(answer.status, StatusCode::OK);
+    }
+}
+
+/// A slow upload takes no place to work in: others work meanwhile.
+#[tokio::test]
+async fn a_slow_upload_keeps_nobody_from_working() {
+    let fake = Fake::new();
+    let app = app(&fake, &small_limits());
+    let (slow, read) = watched();
+    let uploading = tokio::spawn({
+        let app = app.clone();
+        async move { send(&app, raw("", slow)).await }
+    });
+    while !read.load(Ordering::SeqCst) {
+        tokio::task::yield_now().await;
+    }
+    for _ in 0..3 {
+        assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    }
+    uploading.abort();
+}
+
+#[tokio::test]
+async fn uploads_are_held_within_their_memory() {
+    let fake = Fake::new();
+    let limits = Limits {
+        upload_memory: ByteSize(8),
+        ..small_limits()
+    };
+    let app = app(&fake, &limits);
+    let refused = send(&app, raw("", "nine bytes")).await;
+    refused.expect_error(429, "upload_memory");
+    assert_eq!(send(&app, raw("", "8 bytes!")).await.status, StatusCode::OK);
+    assert_eq!(send(&app, raw("", "8 bytes!")).await.status, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn a_client_that_asks_too_often_is_told_when_to_come_back() {
+    let fake = Fake::new();
+    let limits = Limits {
+        rate_limit: NonZeroU32::new(1),
+        rate_burst: NonZeroU32::new(2).unwrap(),
+        ..small_limits()
+    };
+    let app = app(&fake, &limits);
+    for _ in 0..2 {
+        assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    }
+    let refused = send(&app, raw("", "song")).await;
+    refused.expect_error(429, "rate_limited");
+    let wait: u64 = refused.header("retry-after").parse().unwrap();
+    assert!((30..=60).contains(&wait), "{wait}");
+    // Probes are no work.
+    for path in ["/health", "/ready", "/info", "/metrics"] {
+        assert_eq!(get(&app, path).await.status, StatusCode::OK);
+    }
 }
 
 #[tokio::test]

@@ -7,14 +7,18 @@
     reason = "a test that fails panics, in its helpers as well"
 )]
 
+mod access;
 mod client;
+mod connection;
 mod fake;
 mod generate;
+mod jobs;
 mod lifecycle;
 mod limits;
 #[cfg(unix)]
 mod process;
 mod real;
+mod streaming;
 mod surface;
 #[path = "../audio/writers.rs"]
 mod writers;

@@ -9,7 +9,7 @@ use std::{
 use axum::{Router, http::StatusCode};
 use bailando::{
     engine::Choreographer,
-    server::{Generate, Limits, ServerConfig, router},
+    server::{Access, Generate, Limits, ServerConfig, router},
 };
 use serde_json::Value;
 
@@ -25,7 +25,7 @@ static MODEL: LazyLock<Choreographer> = LazyLock::new(|| {
             .map_or_else(|| project("models/default"), PathBuf::from),
         ..ServerConfig::default()
     };
-    Choreographer::open(&config.engine()).unwrap()
+    Choreographer::open(&config.engine(Arc::new(()))).unwrap()
 });
 
 fn project(path: &str) -> PathBuf {
@@ -38,7 +38,7 @@ fn demo(name: &str) -> Vec<u8> {
 
 fn service() -> Router {
     let engine: Arc<dyn Generate> = Arc::new(MODEL.clone());
-    router(engine, Limits::default())
+    router(engine, Limits::default(), Access::default())
 }
 
 fn codes(answer: &Answer) -> Value {

@@ -125,3 +125,61 @@ async fn unknown_paths_and_methods_have_the_error_shape() {
             .expect_error(405, "method_not_allowed");
     }
 }
+
+#[tokio::test]
+async fn metrics_are_what_prometheus_reads() {
+    let app = app(&Fake::new(), &Limits::default());
+    let missing = get(&app, "/nothing/here").await;
+    missing.expect_error(404, "not_found");
+    let dance = send(&app, crate::client::raw("", "song")).await;
+    assert_eq!(dance.status, StatusCode::OK);
+    let answer = get(&app, "/metrics").await;
+    assert!(
+        answer
+            .header("content-type")
+            .starts_with("application/openmetrics-text")
+    );
+    let text = String::from_utf8(answer.body).unwrap();
+    for line in [
+        "bailando_http_requests_total{route=\"other\",method=\"GET\",status=\"404\"} 1",
+        "bailando_http_requests_total{route=\"/generate\",method=\"POST\",status=\"200\"} 1",
+        "bailando_rejected_total{reason=\"not_found\"} 1",
+        "bailando_dances_total{kind=\"generate\"} 1",
+        "bailando_stage_duration_seconds_count{stage=\"write\"} 1",
+        "bailando_requests_running 0",
+        "bailando_uploads 0",
+        "bailando_upload_bytes 0",
+        "bailando_audio_seconds_in_flight 0",
+    ] {
+        assert!(text.lines().any(|found| found == line), "{line}\n{text}");
+    }
+    // Every metric says what it is.
+    for line in text.lines().filter(|line| line.starts_with("# TYPE ")) {
+        let name = line.split(' ').nth(2).unwrap();
+        assert!(text.contains(&format!("# HELP {name} ")), "{name}");
+    }
+}
+
+#[tokio::test]
+async fn pose_codes_can_be_looked_at() {
+    let app = app(&Fake::new(), &Limits::default());
+    let books = get(&app, "/codes").await.json();
+    assert_eq!(
+        (&books["upper"], &books["lower"]),
+        (&512.into(), &512.into())
+    );
+    assert_eq!(books["start_codes"][0], serde_json::json!([1, 2]));
+    let pose = get(&app, "/codes/3/511").await.json();
+    assert_eq!((&pose["upper"], &pose["lower"]), (&3.into(), &511.into()));
+    assert_eq!(pose["positions"].as_array().unwrap().len(), pose["frames"]);
+    let said = get(&app, "/codes/512/0")
+        .await
+        .expect_error(400, "invalid_option");
+    assert!(
+        said.contains("option `upper`: 512 is not between 0 and 511"),
+        "{said}"
+    );
+    get(&app, "/codes/a/b")
+        .await
+        .expect_error(400, "invalid_option");
+}

@@ -31,6 +31,7 @@ fn open(folder: &TempDir, batch: usize) -> bailando::Result<Choreographer> {
         batch,
         queue: 16,
         audio: AudioLimits::default(),
+        observer: std::sync::Arc::new(()),
     })
 }
 

@@ -70,6 +70,7 @@ fn open(model: &Path) -> bailando::Result<Choreographer> {
         batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
+        observer: std::sync::Arc::new(()),
     })
 }
 

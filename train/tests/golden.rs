@@ -378,6 +378,7 @@ fn the_engine_repeats_the_bootstrap_models_codes() {
         batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
+        observer: std::sync::Arc::new(()),
     })
     .unwrap();
     let music = floats(&folder.join("demo_music.npy"));

@@ -159,6 +159,7 @@ fn dances(model: &Path, song: &Path) {
         batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
+        observer: std::sync::Arc::new(()),
     })
     .unwrap();
     let features = &engine.manifest().features;

@@ -42,6 +42,7 @@ fn open(folder: &TempDir) -> Choreographer {
         batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
+        observer: std::sync::Arc::new(()),
     })
     .unwrap()
 }
@@ -314,6 +315,7 @@ fn a_manifest_that_does_not_fit_its_graphs_is_refused_at_start() {
             batch: DEFAULT_BATCH.get(),
             queue: 1,
             audio: AudioLimits::default(),
+            observer: std::sync::Arc::new(()),
         });
         let error = result.expect_err(place).to_string();
         assert!(!error.contains('\n'), "{place} {value}: {error}");

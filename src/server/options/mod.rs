@@ -12,14 +12,12 @@ use super::error::ServerError;
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    format::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
+    format::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat, Tail},
     model::WindowKind,
 };
 
 /// Longest option value that is looked at, in bytes.
 pub(crate) const LONGEST_VALUE: usize = 256;
-/// Options of later versions.
-const NOT_YET: [&str; 1] = ["continue_from"];
 /// Formats of later versions.
 const FORMATS_NOT_YET: [&str; 1] = ["glb"];
 
@@ -35,6 +33,7 @@ pub(crate) struct RequestOptions {
     candidates: Option<usize>,
     start_upper: Option<u32>,
     start_lower: Option<u32>,
+    continue_from: Option<Tail>,
     window: Option<WindowKind>,
     hop: Option<usize>,
     offset_s: Option<f64>,
@@ -60,12 +59,11 @@ impl RequestOptions {
             })
         };
         let Some(option) = OPTIONS.iter().find(|option| option.name == name) else {
-            return refuse(if NOT_YET.contains(&name) {
-                "it is not available yet in this version".to_owned()
-            } else {
-                let names: Vec<&str> = OPTIONS.iter().map(|option| option.name).collect();
-                format!("there is no such option; there are {}", names.join(", "))
-            });
+            let names: Vec<&str> = OPTIONS.iter().map(|option| option.name).collect();
+            return refuse(format!(
+                "there is no such option; there are {}",
+                names.join(", ")
+            ));
         };
         if self.given.contains(&option.name) {
             return refuse("it was given more than once".to_owned());
@@ -106,13 +104,46 @@ impl RequestOptions {
         Ok(options)
     }
 
-    /// Writes `dance` as asked for.
-    pub(crate) fn write(&self, dance: &Dance, format: OutputFormat) -> crate::Result<Vec<u8>> {
-        let json = JsonOptions {
+    /// How JSON is written.
+    pub(crate) fn json(&self) -> JsonOptions {
+        JsonOptions {
             rotations: self.rotations,
             encoding: self.encoding.unwrap_or_default(),
-        };
-        let bytes = format.write(dance, &json, self.bvh_unit.unwrap_or_default())?;
+        }
+    }
+
+    /// The most seconds of audio that can be asked for by these options, if they say.
+    pub(crate) fn longest_seconds(&self) -> Option<f64> {
+        self.duration_s
+    }
+
+    /// These options, but written as `other` asks for.
+    ///
+    /// # Errors
+    /// [`ServerError::Option`] if `other` asks for another dance.
+    pub(crate) fn written_as(&self, other: &Self) -> Result<Self, ServerError> {
+        const WRITTEN: [&str; 4] = ["format", "include", "encoding", "bvh_unit"];
+        if let Some(name) = other.given.iter().find(|name| !WRITTEN.contains(name)) {
+            return Err(ServerError::Option {
+                name: (*name).to_owned(),
+                problem: format!(
+                    "the dance is made already; what can be chosen now is {}",
+                    WRITTEN.join(", ")
+                ),
+            });
+        }
+        Ok(Self {
+            format: other.format.or(self.format),
+            rotations: other.rotations || self.rotations,
+            encoding: other.encoding.or(self.encoding),
+            bvh_unit: other.bvh_unit.or(self.bvh_unit),
+            ..self.clone()
+        })
+    }
+
+    /// Writes `dance` as asked for.
+    pub(crate) fn write(&self, dance: &Dance, format: OutputFormat) -> crate::Result<Vec<u8>> {
+        let bytes = format.write(dance, &self.json(), self.bvh_unit.unwrap_or_default())?;
         Ok(bytes)
     }
 
@@ -127,6 +158,7 @@ impl RequestOptions {
             candidates: self.candidates,
             start_upper: self.start_upper,
             start_lower: self.start_lower,
+            continue_from: self.continue_from.clone(),
             window: self.window,
             hop: self.hop,
             range: AudioRange {
@@ -152,7 +184,7 @@ pub(crate) fn shorten(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::engine::MAX_SEED;
+    use crate::{engine::MAX_SEED, format::Codes};
 
     fn query(text: &str) -> Result<RequestOptions, String> {
         let uri = format!("/generate?{text}").parse().unwrap();
@@ -163,7 +195,7 @@ mod tests {
     fn every_option_is_read() {
         let options = query(
             "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5&candidates=3\
-             &start_upper=1&start_lower=2&window=sliding&hop=15&offset_s=1.5&duration_s=2e1&root_motion=false\
+             &start_upper=1&start_lower=2&continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA&window=sliding&hop=15&offset_s=1.5&duration_s=2e1&root_motion=false\
              &music=true&include=rotations&encoding=base64&bvh_unit=m",
         )
         .unwrap();
@@ -182,6 +214,15 @@ mod tests {
                 candidates: Some(3),
                 start_upper: Some(1),
                 start_lower: Some(2),
+                continue_from: Some(Tail::new(
+                    "01234567",
+                    Codes {
+                        upper: vec![1],
+                        lower: vec![2],
+                    },
+                    [0.0; 2],
+                    0.75,
+                )),
                 window: Some(WindowKind::Sliding),
                 hop: Some(15),
                 range: AudioRange {
@@ -244,7 +285,10 @@ mod tests {
             "sede=1",
             "there is no such option; there are format, fps, seed",
         );
-        says("continue_from=x", "not available yet");
+        says(
+            "continue_from=x",
+            "expected the `tail` that came with an earlier dance",
+        );
         says("format=glb", "glb is not available yet in this version");
         says("format=mp4", "expected one of json, bvh");
         says(&format!("seed={}", "1".repeat(10_000)), "1..");

@@ -18,7 +18,7 @@ pub(super) struct OptionSpec {
     pub(super) read: fn(&mut RequestOptions, &str) -> bool,
 }
 
-pub(super) const OPTIONS: [OptionSpec; 18] = [
+pub(super) const OPTIONS: [OptionSpec; 19] = [
     OptionSpec {
         name: "format",
         about: "Format of the dance. Wins over the Accept header. Default: json.",
@@ -91,6 +91,12 @@ pub(super) const OPTIONS: [OptionSpec; 18] = [
             most: u32::MAX as u64,
         },
         read: |options, text| put(&mut options.start_lower, text),
+    },
+    OptionSpec {
+        name: "continue_from",
+        about: "The `tail` of an earlier dance of the same model: the new one goes on from its last pose, place and facing, so that clips chain. Excludes start_upper and start_lower.",
+        accepts: Accepts::Tail,
+        read: |options, text| put(&mut options.continue_from, text),
     },
     OptionSpec {
         name: "window",

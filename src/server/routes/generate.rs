@@ -1,28 +1,25 @@
 //! `POST /generate`: audio in, dance out.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use axum::{
     extract::{Request, State},
     http::{HeaderMap, HeaderName, HeaderValue, header},
     response::{IntoResponse, Response},
 };
-use bytes::Bytes;
 
 use crate::{
-    CancelToken,
     format::{Dance, DanceJson, OutputFormat, Timings},
     server::{
-        admission::Permit,
         body::IncomingBody,
-        envelope::{panic_text, time_header},
+        envelope::time_header,
         error::{ErrorBody, ServerError},
-        media::Media,
-        negotiate,
+        intake::{self, Purpose},
         options::{AudioFile, GenerateForm, RequestOptions},
         outgoing,
-        state::{Generate, SharedState},
-        upload, warnings,
+        room::Share,
+        state::SharedState,
+        warnings, work,
     },
 };
 
@@ -50,6 +47,7 @@ use crate::{
             content((DanceJson<'static> = "application/json"), (String = "application/x-bvh")),
             headers(
                 ("x-seed" = u64, description = "The seed that was used."),
+                ("x-tail" = String, description = "The option `continue_from` of a dance that is to go on from the end of this one; the JSON carries it as `tail`."),
                 ("x-total-time" = f64, description = "Milliseconds in all."),
                 ("x-queue-time" = f64, description = "Milliseconds spent waiting."),
                 ("x-decode-time" = f64, description = "Milliseconds of decoding the audio."),
@@ -60,6 +58,7 @@ use crate::{
             )
         ),
         (status = 400, description = "An option or the form is wrong, or there is no audio.", body = ErrorBody),
+        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
         (status = 406, description = "The Accept header names no format of ours.", body = ErrorBody),
         (status = 408, description = "The body was not sent in time.", body = ErrorBody),
         (status = 413, description = "The audio file is too large.", body = ErrorBody),
@@ -67,7 +66,7 @@ use crate::{
         (status = 422, description = "The audio cannot be decoded, or is too short or too long.", body = ErrorBody),
         (
             status = 429,
-            description = "Too many requests are waiting.",
+            description = "Too many requests are waiting, too much is being uploaded, or this client asks too often.",
             body = ErrorBody,
             headers(("retry-after" = u64, description = "Seconds to wait."))
         ),
@@ -78,7 +77,8 @@ use crate::{
             body = ErrorBody,
             headers(("retry-after" = u64, description = "Seconds to wait."))
         ),
-    )
+    ),
+    security((), ("bearer" = []), ("api_key" = []))
 )]
 pub(crate) async fn generate(
     State(state): State<SharedState>,
@@ -87,116 +87,76 @@ pub(crate) async fn generate(
     let (parts, body) = request.into_parts();
     let body = IncomingBody::new(body);
     let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
-    let limit = state.limits.request_timeout;
-    let rendered = tokio::time::timeout(limit.0, render(&state, parts, body));
-    let rendered = tokio::select! {
-        rendered = rendered => rendered.map_err(|_| ServerError::Timeout {
-            limit,
-            retry_after: state.admission.retry_after(),
-        })??,
-        () = state.lifecycle.aborted() => return Err(state.draining()),
-    };
+    let rendered = state.in_time(render(&state, parts, body)).await?;
     Ok(rendered.respond(under_way))
 }
 
-/// Everything that costs nothing is checked first; then a permit is waited for; only then is the
-/// body read (RELIABILITY, defence 2).
 async fn render(
     state: &SharedState,
     parts: axum::http::request::Parts,
     body: IncomingBody,
 ) -> Result<Rendered, ServerError> {
-    let limits = &state.limits;
-    let engine = &state.loaded()?.engine;
-    let media = Media::of(&parts.headers)?;
-    let options = RequestOptions::from_query(&parts.uri)?;
-    engine.check(&options.generation(OutputFormat::Json))?;
-    upload::check_declared(&body, media, limits)?;
-    let accept = parts.headers.clone();
-    // Only a form may still name a format that makes its Accept header irrelevant.
-    let early = match (options.format, media) {
-        (Some(format), _) => Some(format),
-        (None, Media::Raw) => Some(negotiate::from_accept(&accept)?),
-        (None, Media::Form) => None,
-    };
-
-    let permit = state.admission.admit().await?;
-    let waited = permit.waited;
-    let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
-    let upload = upload::receive(parts, body, media, options, limits).await?;
-    let format = match upload.options.format.or(early) {
-        Some(format) => format,
-        None => negotiate::from_accept(&accept)?,
-    };
-    let job = Job {
-        engine: Arc::clone(engine),
-        audio: upload.audio,
-        options: upload.options,
-        format,
-        permit,
-    };
-    let mut rendered = job.run().await?;
-    rendered.timings.queue += waited;
-    Ok(rendered)
-}
-
-/// One generation with all it needs; it holds its permit until the work has really ended.
-struct Job {
-    engine: Arc<dyn Generate>,
-    audio: Bytes,
-    options: RequestOptions,
-    format: OutputFormat,
-    permit: Permit,
+    let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
+    let made = async {
+        let permit = state.admission.admit().await?;
+        let waited = permit.waited;
+        order.hold_audio(state).await?;
+        let danced = work::dance(&state.metrics, order.work(), permit, "generate");
+        let work::Danced { dance, permit } = danced.await?;
+        let dance = Arc::new(dance);
+        let (options, format) = (order.options.clone(), order.shape.format);
+        let body = work::write(
+            &state.metrics,
+            &order.watch,
+            Arc::clone(&dance),
+            options,
+            format,
+        )
+        .await?;
+        // Whoever reads slowly holds memory: the place to work in is free only once there is some.
+        let room = state.answers.share(body.len() as u64).await?;
+        permit.danced();
+        Ok(Rendered::new(&dance, body, format, waited, room))
+    }
+    .await;
+    order.presence.answered();
+    made
 }
 
 /// What is left of a dance once it has been written.
-struct Rendered {
+pub(crate) struct Rendered {
     body: Vec<u8>,
     format: OutputFormat,
     seed: u64,
+    tail: Option<String>,
     timings: Timings,
     warnings: Vec<String>,
-}
-
-impl Job {
-    /// Runs on a blocking thread. Dropping the returned future stops the work.
-    async fn run(self) -> Result<Rendered, ServerError> {
-        let generation = self.options.generation(self.format);
-        self.engine.check(&generation)?;
-        let cancel = CancelToken::new();
-        let _stop_when_nobody_waits = cancel.cancel_on_drop();
-        let work = move || {
-            // Named, so that the closure owns it: dropping the future alone must not free it.
-            let permit = self.permit;
-            let dance = self.engine.generate(self.audio, &generation, &cancel)?;
-            let body = self.options.write(&dance, self.format)?;
-            permit.danced();
-            Ok(Rendered::new(dance, body, self.format))
-        };
-        match tokio::task::spawn_blocking(work).await {
-            Ok(result) => result,
-            Err(failed) => Err(ServerError::Internal(match failed.try_into_panic() {
-                Ok(panic) => format!("panic: {}", panic_text(panic.as_ref())),
-                Err(failed) => failed.to_string(),
-            })),
-        }
-    }
+    room: Share,
 }
 
 impl Rendered {
-    fn new(dance: Dance, body: Vec<u8>, format: OutputFormat) -> Self {
+    pub(crate) fn new(
+        dance: &Dance,
+        body: Vec<u8>,
+        format: OutputFormat,
+        waited: Duration,
+        room: Share,
+    ) -> Self {
+        let mut timings = dance.timings;
+        timings.queue += waited;
         Self {
             body,
             format,
             seed: dance.seed,
-            timings: dance.timings,
-            warnings: dance.warnings,
+            tail: dance.tail.as_ref().map(crate::format::Tail::to_text),
+            timings,
+            warnings: dance.warnings.clone(),
+            room,
         }
     }
 
     /// The answer; `under_way` counts it as a request until it has been sent.
-    fn respond(self, under_way: impl Send + 'static) -> Response {
-        let timings = self.timings;
+    pub(crate) fn respond(self, under_way: impl Send + 'static) -> Response {
         let mut headers = HeaderMap::new();
         headers.insert(
             header::CONTENT_TYPE,
@@ -204,14 +164,10 @@ impl Rendered {
         );
         headers.insert(header::CONTENT_LENGTH, HeaderValue::from(self.body.len()));
         headers.insert(SEED, HeaderValue::from(self.seed));
-        for (name, time) in [
-            (QUEUE_TIME, timings.queue),
-            (DECODE_TIME, timings.decode),
-            (FEATURE_TIME, timings.features),
-            (INFERENCE_TIME, timings.inference),
-        ] {
-            headers.insert(name, time_header(time));
+        if let Some(tail) = self.tail.and_then(|tail| HeaderValue::try_from(tail).ok()) {
+            headers.insert(TAIL, tail);
         }
+        times(&mut headers, &self.timings);
         warnings::append(&mut headers, &self.warnings);
         if self.format == OutputFormat::Bvh {
             let name = format!("attachment; filename=\"dance-{}.bvh\"", self.seed);
@@ -219,11 +175,25 @@ impl Rendered {
                 headers.insert(header::CONTENT_DISPOSITION, name);
             }
         }
-        (headers, outgoing::guarded(self.body, under_way)).into_response()
+        let body = outgoing::guarded(self.body, (under_way, self.room));
+        (headers, body).into_response()
     }
 }
 
-const SEED: HeaderName = HeaderName::from_static("x-seed");
+/// Adds one header for each stage.
+pub(crate) fn times(headers: &mut HeaderMap, timings: &Timings) {
+    for (name, time) in [
+        (QUEUE_TIME, timings.queue),
+        (DECODE_TIME, timings.decode),
+        (FEATURE_TIME, timings.features),
+        (INFERENCE_TIME, timings.inference),
+    ] {
+        headers.insert(name, time_header(time));
+    }
+}
+
+pub(crate) const SEED: HeaderName = HeaderName::from_static("x-seed");
+const TAIL: HeaderName = HeaderName::from_static("x-tail");
 const QUEUE_TIME: HeaderName = HeaderName::from_static("x-queue-time");
 const DECODE_TIME: HeaderName = HeaderName::from_static("x-decode-time");
 const FEATURE_TIME: HeaderName = HeaderName::from_static("x-feature-time");

@@ -1,6 +1,11 @@
 //! Probes and self-description: they never wait for anything and take no permit.
 
-use axum::{Json, extract::State};
+use axum::{
+    Json,
+    extract::State,
+    http::header,
+    response::{IntoResponse, Response},
+};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -70,4 +75,24 @@ pub(crate) async fn ready(State(state): State<SharedState>) -> Result<Json<Statu
 )]
 pub(crate) async fn info(State(state): State<SharedState>) -> Result<Json<Info>, ServerError> {
     Ok(Json(state.loaded()?.info.clone()))
+}
+
+/// Media type of what Prometheus reads.
+const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// What is counted, as Prometheus reads it.
+#[utoipa::path(
+    get,
+    path = "/metrics",
+    tag = "probes",
+    responses((
+        status = 200,
+        description = "The metrics, in the OpenMetrics text format.",
+        content((String = "application/openmetrics-text"))
+    ))
+)]
+pub(crate) async fn metrics(State(state): State<SharedState>) -> Result<Response, ServerError> {
+    let text = state.metrics.text();
+    let text = text.map_err(|error| ServerError::Internal(error.to_string()))?;
+    Ok(([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response())
 }

@@ -1,0 +1,124 @@
+//! What every route that works does first: check, receive, and only then let the work begin.
+
+use std::sync::Arc;
+
+use axum::http::{HeaderMap, request::Parts};
+use bytes::Bytes;
+
+use super::{
+    body::IncomingBody,
+    error::ServerError,
+    media::Media,
+    negotiate::{self, Shape},
+    options::RequestOptions,
+    state::{Generate, SharedState},
+    upload,
+    watch::{Phase, Presence, Watch},
+};
+use crate::format::OutputFormat;
+
+/// What becomes of an upload.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Purpose {
+    /// A dance as the answer.
+    Dance,
+    /// Events while it is made.
+    Stream,
+    /// A dance that is fetched later.
+    Job,
+}
+
+/// A dance that was ordered: everything is here, and nothing is wrong with it that can be told now.
+pub(crate) struct Order {
+    pub(crate) engine: Arc<dyn Generate>,
+    pub(crate) audio: Bytes,
+    pub(crate) options: RequestOptions,
+    pub(crate) shape: Shape,
+    pub(crate) watch: Arc<Watch>,
+    pub(crate) presence: Presence,
+}
+
+/// Everything that costs nothing is checked first; then a place for the body is taken; only then is it
+/// read (RELIABILITY, defence 2). The place to work in is waited for by the caller: a slow upload keeps
+/// nobody from working.
+pub(crate) async fn receive(
+    state: &SharedState,
+    purpose: Purpose,
+    parts: Parts,
+    body: IncomingBody,
+) -> Result<Order, ServerError> {
+    let limits = &state.limits;
+    let engine = &state.loaded()?.engine;
+    let media = Media::of(&parts.headers)?;
+    let options = RequestOptions::from_query(&parts.uri)?;
+    engine.check(&options.generation(OutputFormat::Json))?;
+    upload::check_declared(&body, media, limits)?;
+    let accept = parts.headers.clone();
+    // Only a form may still name a format that makes its Accept header irrelevant.
+    if options.format.is_some() || media == Media::Raw {
+        shape(purpose, &options, &accept)?;
+    }
+    match purpose {
+        Purpose::Job => state.jobs.check_room()?,
+        Purpose::Dance | Purpose::Stream => state.admission.check_room()?,
+    }
+
+    let watch = Watch::new(Arc::clone(&state.metrics));
+    let presence = Presence::of(&watch);
+    let received = async {
+        let mut place = state.uploads.begin()?;
+        let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
+        let upload = upload::receive(parts, body, media, options, limits, &mut place).await?;
+        let shape = shape(purpose, &upload.options, &accept)?;
+        engine.check(&upload.options.generation(shape.format))?;
+        watch.hold_upload(place);
+        Ok((upload, shape))
+    };
+    let (upload, shape) = match received.await {
+        Ok(received) => received,
+        Err(error) => {
+            presence.answered();
+            return Err(error);
+        }
+    };
+    watch.enter(Phase::Queue);
+    Ok(Order {
+        engine: Arc::clone(engine),
+        audio: upload.audio,
+        options: upload.options,
+        shape,
+        watch,
+        presence,
+    })
+}
+
+fn shape(
+    purpose: Purpose,
+    options: &RequestOptions,
+    headers: &HeaderMap,
+) -> Result<Shape, ServerError> {
+    match purpose {
+        Purpose::Dance => Ok(Shape {
+            format: match options.format {
+                Some(format) => format,
+                None => negotiate::dance(headers)?,
+            },
+            lines: false,
+        }),
+        // The answer to the order itself is JSON always.
+        Purpose::Job => Ok(Shape {
+            format: options.format.unwrap_or_default(),
+            lines: false,
+        }),
+        Purpose::Stream => match options.format {
+            None | Some(OutputFormat::Json) => Ok(Shape {
+                format: OutputFormat::Json,
+                lines: negotiate::events_as_lines(headers)?,
+            }),
+            Some(other) => Err(ServerError::Option {
+                name: "format".to_owned(),
+                problem: format!("a stream has no {}, expected json", other.name()),
+            }),
+        },
+    }
+}

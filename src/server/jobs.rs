@@ -1,0 +1,276 @@
+//! Jobs: dances that are asked for now and fetched later.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
+
+use super::{
+    access::Client,
+    config::Seconds,
+    error::{Report, ServerError},
+    metrics::{Counted, SharedMetrics},
+    options::RequestOptions,
+    watch::Watch,
+};
+use crate::format::{Dance, OutputFormat};
+
+/// Where jobs are kept: in memory for now.
+pub(crate) trait JobStore: Send + Sync {
+    /// Whether one more may be kept.
+    ///
+    /// # Errors
+    /// [`ServerError::TooManyJobs`].
+    fn check_room(&self) -> Result<(), ServerError>;
+
+    /// Keeps a job.
+    ///
+    /// # Errors
+    /// [`ServerError::TooManyJobs`].
+    fn put(&self, job: Arc<Job>) -> Result<(), ServerError>;
+
+    /// Finds a job.
+    fn get(&self, id: Uuid) -> Option<Arc<Job>>;
+
+    /// Takes a job out; whether it was there.
+    fn remove(&self, id: Uuid) -> bool;
+}
+
+/// One job.
+pub(crate) struct Job {
+    pub(crate) id: Uuid,
+    /// Who asked for it: nobody else finds it.
+    pub(crate) owner: Client,
+    /// Id of the request that asked for it.
+    pub(crate) request_id: String,
+    /// How far it is, and how it is stopped.
+    pub(crate) watch: Arc<Watch>,
+    /// Triggered when it is deleted.
+    pub(crate) deleted: CancellationToken,
+    /// Triggered when its result has been sent.
+    pub(crate) fetched: CancellationToken,
+    metrics: SharedMetrics,
+    // Held only to look at or to change the state.
+    state: Mutex<Kept>,
+}
+
+struct Kept {
+    state: JobState,
+    counted: Counted,
+    asked_about: Instant,
+    done_at: Option<Instant>,
+}
+
+/// What has become of a job.
+#[derive(Clone)]
+pub(crate) enum JobState {
+    Queued,
+    Running,
+    /// The dance, and how it was asked for.
+    Done(Arc<Finished>),
+    Failed(Report),
+}
+
+/// A dance and how it is written where the fetching request says nothing else.
+pub(crate) struct Finished {
+    pub(crate) dance: Arc<Dance>,
+    pub(crate) options: RequestOptions,
+    pub(crate) format: OutputFormat,
+}
+
+impl JobState {
+    pub(crate) fn name(&self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Running => "running",
+            Self::Done(_) => "done",
+            Self::Failed(_) => "failed",
+        }
+    }
+}
+
+impl Job {
+    pub(crate) fn new(
+        owner: Client,
+        request_id: String,
+        watch: Arc<Watch>,
+        metrics: SharedMetrics,
+    ) -> Arc<Self> {
+        Arc::new(Self {
+            id: Uuid::new_v4(),
+            owner,
+            request_id,
+            watch,
+            deleted: CancellationToken::new(),
+            fetched: CancellationToken::new(),
+            state: Mutex::new(Kept {
+                state: JobState::Queued,
+                counted: metrics.job("queued"),
+                asked_about: Instant::now(),
+                done_at: None,
+            }),
+            metrics,
+        })
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Kept> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What has become of it; somebody asks.
+    pub(crate) fn ask(&self) -> JobState {
+        let mut kept = self.kept();
+        kept.asked_about = Instant::now();
+        kept.state.clone()
+    }
+
+    pub(crate) fn turn(&self, state: JobState) {
+        let counted = self.metrics.job(state.name());
+        let mut kept = self.kept();
+        if matches!(state, JobState::Done(_) | JobState::Failed(_)) {
+            kept.done_at = Some(Instant::now());
+        }
+        kept.counted = counted;
+        kept.state = state;
+    }
+
+    /// Since when it is done or has failed.
+    pub(crate) fn done_for(&self) -> Option<Duration> {
+        self.kept().done_at.map(|since| since.elapsed())
+    }
+
+    /// Whether somebody probably waits for its result still.
+    pub(crate) fn is_awaited(&self, within: Duration) -> bool {
+        let kept = self.kept();
+        let last = kept
+            .done_at
+            .map_or(kept.asked_about, |done| done.max(kept.asked_about));
+        !self.fetched.is_cancelled() && last.elapsed() < within
+    }
+}
+
+/// Keeps jobs in memory.
+pub(crate) struct MemoryStore {
+    most: usize,
+    ttl: Seconds,
+    // Held only to look up, to put or to take out.
+    jobs: Mutex<HashMap<Uuid, Arc<Job>>>,
+}
+
+impl MemoryStore {
+    /// For at most `most` jobs; finished ones make room after `ttl`.
+    pub(crate) fn new(most: usize, ttl: Seconds) -> Self {
+        Self {
+            most,
+            ttl,
+            jobs: Mutex::new(HashMap::new()),
+        }
+    }
+
+    fn jobs(&self) -> MutexGuard<'_, HashMap<Uuid, Arc<Job>>> {
+        let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
+        jobs.retain(|_, job| job.done_for().is_none_or(|time| time < self.ttl.0));
+        jobs
+    }
+
+    fn full(&self, jobs: &HashMap<Uuid, Arc<Job>>) -> ServerError {
+        // The next place is free when the oldest result goes, if nobody deletes one.
+        let oldest = jobs.values().filter_map(|job| job.done_for()).max();
+        let wait = oldest.map_or(Duration::from_secs(10), |age| {
+            self.ttl.0.saturating_sub(age)
+        });
+        ServerError::TooManyJobs {
+            most: self.most,
+            retry_after: Seconds(wait),
+        }
+    }
+}
+
+impl JobStore for MemoryStore {
+    fn check_room(&self) -> Result<(), ServerError> {
+        let jobs = self.jobs();
+        match jobs.len() < self.most {
+            true => Ok(()),
+            false => Err(self.full(&jobs)),
+        }
+    }
+
+    fn put(&self, job: Arc<Job>) -> Result<(), ServerError> {
+        let mut jobs = self.jobs();
+        if jobs.len() >= self.most {
+            return Err(self.full(&jobs));
+        }
+        jobs.insert(job.id, job);
+        Ok(())
+    }
+
+    fn get(&self, id: Uuid) -> Option<Arc<Job>> {
+        self.jobs().get(&id).cloned()
+    }
+
+    fn remove(&self, id: Uuid) -> bool {
+        let removed = self.jobs().remove(&id);
+        removed.is_some_and(|job| {
+            job.watch.cancel.cancel();
+            job.deleted.cancel();
+            true
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job() -> Arc<Job> {
+        let metrics = SharedMetrics::default();
+        let watch = Watch::new(Arc::clone(&metrics));
+        Job::new(Client::Unknown, "id".into(), watch, metrics)
+    }
+
+    fn failed() -> JobState {
+        JobState::Failed(ServerError::MissingAudio.report())
+    }
+
+    #[test]
+    fn finished_jobs_make_room_after_their_time() {
+        let store = MemoryStore::new(1, Seconds(Duration::from_millis(30)));
+        let first = job();
+        store.put(Arc::clone(&first)).unwrap();
+        std::thread::sleep(Duration::from_millis(40));
+        assert!(store.get(first.id).is_some(), "it is not finished");
+        assert!(matches!(
+            store.put(job()),
+            Err(ServerError::TooManyJobs { most: 1, .. })
+        ));
+        first.turn(failed());
+        assert!(store.check_room().is_err());
+        std::thread::sleep(Duration::from_millis(40));
+        assert!(store.get(first.id).is_none());
+        store.put(job()).unwrap();
+    }
+
+    #[test]
+    fn a_deleted_job_stops() {
+        let store = MemoryStore::new(2, Seconds::new(60));
+        let job = job();
+        store.put(Arc::clone(&job)).unwrap();
+        assert!(store.remove(job.id));
+        assert!(!store.remove(job.id));
+        assert!(job.watch.cancel.is_cancelled());
+    }
+
+    #[test]
+    fn a_result_is_awaited_until_it_is_fetched_or_nobody_asks() {
+        let job = job();
+        job.turn(failed());
+        assert!(job.is_awaited(Duration::from_secs(60)));
+        assert!(!job.is_awaited(Duration::ZERO));
+        job.fetched.cancel();
+        assert!(!job.is_awaited(Duration::from_secs(60)));
+    }
+}

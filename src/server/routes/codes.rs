@@ -1,0 +1,155 @@
+//! `GET /codes`: the choreographic memory.
+
+use std::sync::Arc;
+
+use axum::{
+    Json,
+    extract::{Path, State, rejection::PathRejection},
+    http::header,
+    response::{IntoResponse, Response},
+};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use crate::{
+    engine::EngineError,
+    format::{CodePoseJson, pose_json},
+    server::{
+        envelope::panic_text,
+        error::{ErrorBody, ServerError},
+        state::SharedState,
+    },
+};
+
+/// The two codebooks.
+#[derive(Debug, Serialize, ToSchema)]
+pub(crate) struct Codebooks {
+    /// Pose codes of the upper half of the body: 0 to one less than this.
+    #[schema(example = 512)]
+    upper: usize,
+    /// Pose codes of the lower half.
+    #[schema(example = 512)]
+    lower: usize,
+    /// Frames that a pair of codes stands for, at `fps`.
+    frames_per_code: usize,
+    fps: u32,
+    /// Joints that the upper half moves, by their numbers in the skeleton.
+    upper_joints: Vec<usize>,
+    /// Joints that the lower half moves.
+    lower_joints: Vec<usize>,
+    /// Pairs (upper, lower) that dances start from; any pair where there are none.
+    start_codes: Vec<[u32; 2]>,
+}
+
+/// Describes the two codebooks.
+#[utoipa::path(
+    get,
+    path = "/codes",
+    tag = "codes",
+    responses(
+        (status = 200, description = "The codebooks.", body = Codebooks),
+        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
+        (
+            status = 429,
+            description = "This client asks too often.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+        (
+            status = 503,
+            description = "The model is being loaded.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+    ),
+    security((), ("bearer" = []), ("api_key" = []))
+)]
+pub(crate) async fn codebooks(
+    State(state): State<SharedState>,
+) -> Result<Json<Codebooks>, ServerError> {
+    let manifest = state.loaded()?.engine.manifest();
+    Ok(Json(Codebooks {
+        upper: manifest.vocabulary.upper,
+        lower: manifest.vocabulary.lower,
+        frames_per_code: manifest.frames_per_code,
+        fps: manifest.fps,
+        upper_joints: manifest.upper_joints.clone(),
+        lower_joints: manifest.lower_joints.clone(),
+        start_codes: manifest.start_codes.clone(),
+    }))
+}
+
+/// Shows what a pair of pose codes looks like: the pair repeated and decoded.
+#[utoipa::path(
+    get,
+    path = "/codes/{upper}/{lower}",
+    tag = "codes",
+    params(
+        ("upper" = u32, Path, description = "Code of the upper half of the body."),
+        ("lower" = u32, Path, description = "Code of the lower half.")
+    ),
+    responses(
+        (status = 200, description = "The motion.", body = CodePoseJson<'static>),
+        (status = 400, description = "A code is not in the codebook.", body = ErrorBody),
+        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
+        (
+            status = 429,
+            description = "Too many requests are waiting, or this client asks too often.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+        (status = 500, description = "The server is at fault.", body = ErrorBody),
+        (
+            status = 503,
+            description = "The model is being loaded, the server is shutting down, or there was no result in time.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+    ),
+    security((), ("bearer" = []), ("api_key" = []))
+)]
+pub(crate) async fn pose(
+    State(state): State<SharedState>,
+    codes: Result<Path<(u32, u32)>, PathRejection>,
+) -> Result<Response, ServerError> {
+    let Path((upper, lower)) = codes.map_err(|_| ServerError::Option {
+        name: "codes".to_owned(),
+        problem: "expected two whole numbers, /codes/{upper}/{lower}".to_owned(),
+    })?;
+    let _under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
+    let json = state.in_time(shown(&state, [upper, lower])).await?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], json).into_response())
+}
+
+async fn shown(state: &SharedState, [upper, lower]: [u32; 2]) -> Result<Vec<u8>, ServerError> {
+    let engine = Arc::clone(&state.loaded()?.engine);
+    state.admission.check_room()?;
+    let permit = state.admission.admit().await?;
+    let shown = tokio::task::spawn_blocking(move || {
+        let _permit = permit;
+        let positions = engine.pose(upper, lower).map_err(of_code)?;
+        let json = pose_json([upper, lower], engine.manifest().fps, &positions);
+        json.map_err(|error| ServerError::Dance(error.into()))
+    });
+    match shown.await {
+        Ok(shown) => shown,
+        Err(failed) => {
+            state.metrics.panicked("codes");
+            Err(ServerError::Internal(match failed.try_into_panic() {
+                Ok(panic) => format!("panic: {}", panic_text(panic.as_ref())),
+                Err(failed) => failed.to_string(),
+            }))
+        }
+    }
+}
+
+/// The engine knows the codes as those that a dance starts with.
+fn of_code(error: crate::Error) -> ServerError {
+    match error {
+        crate::Error::Engine(EngineError::Option { name, problem }) => ServerError::Option {
+            name: name.trim_start_matches("start_").to_owned(),
+            problem,
+        },
+        other => other.into(),
+    }
+}

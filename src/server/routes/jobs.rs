@@ -1,0 +1,392 @@
+//! `/jobs`: dances that are asked for now and fetched later.
+
+use std::{sync::Arc, time::Duration};
+
+use axum::{
+    Json,
+    extract::{Extension, Path, Request, State},
+    http::{HeaderValue, StatusCode, Uri, header},
+    response::{IntoResponse, Response},
+};
+use serde::Serialize;
+use tokio::time::Instant;
+use tokio_util::task::task_tracker::TaskTrackerToken;
+use tracing::Instrument;
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+use crate::{
+    format::DanceJson,
+    server::{
+        access::Client,
+        body::IncomingBody,
+        envelope::request_id,
+        error::{ErrorBody, Report, ServerError},
+        intake::{self, Order, Purpose},
+        jobs::{Finished, Job, JobState},
+        options::{AudioFile, GenerateForm, RequestOptions, shorten},
+        routes::generate::Rendered,
+        state::SharedState,
+        watch::Watch,
+        work,
+    },
+};
+
+/// A client that has not asked about its job for so long is not waited for when the server stops.
+const AWAITED: Duration = Duration::from_secs(5);
+/// And no longer than this in all, once the job is done.
+const AWAITED_AT_MOST: Duration = Duration::from_secs(10);
+const LOOK_AGAIN: Duration = Duration::from_millis(50);
+
+/// How far a job is.
+#[derive(Debug, Serialize, ToSchema)]
+pub(crate) struct JobStatus {
+    /// The job's id.
+    #[schema(example = "67e55044-10b1-426f-9247-bb680e5fe0c8")]
+    id: String,
+    /// `queued`, `running`, `done` or `failed`.
+    #[schema(example = "running")]
+    state: &'static str,
+    /// What is being done while it runs: `decode`, `features`, `inference` or `motion`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    stage: Option<&'static str>,
+    /// Pairs of pose codes that exist.
+    codes_done: usize,
+    /// Pairs of pose codes of the whole dance; 0 while that is not known.
+    codes_total: usize,
+    /// Where the result is, once there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    result: Option<String>,
+    /// Why it failed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    error: Option<ErrorBody>,
+}
+
+impl JobStatus {
+    fn of(job: &Job) -> Self {
+        let state = job.ask();
+        let (codes_done, codes_total) = job.watch.codes_done();
+        Self {
+            id: job.id.to_string(),
+            state: state.name(),
+            stage: matches!(state, JobState::Running).then(|| job.watch.phase().name()),
+            codes_done,
+            codes_total,
+            result: matches!(state, JobState::Done(_)).then(|| format!("/jobs/{}/result", job.id)),
+            error: match state {
+                JobState::Failed(report) => Some(report.body(&job.request_id)),
+                _ => None,
+            },
+        }
+    }
+}
+
+/// Orders a dance that is fetched later.
+///
+/// The same input as `POST /generate`. The answer comes as soon as the song is here; jobs run beside other
+/// requests, on at most half of the places to work in.
+#[utoipa::path(
+    post,
+    path = "/jobs",
+    tag = "jobs",
+    params(RequestOptions),
+    request_body(
+        description = "The song: wav, flac, mp3, ogg/vorbis or m4a/aac, told from its bytes.",
+        content(
+            (GenerateForm = "multipart/form-data"),
+            (AudioFile = "audio/*"),
+            (AudioFile = "application/octet-stream")
+        )
+    ),
+    responses(
+        (
+            status = 202,
+            description = "The job is accepted.",
+            body = JobStatus,
+            headers(
+                ("location" = String, description = "Where the job is asked about."),
+                ("x-request-id" = String, description = "The request's id."),
+            )
+        ),
+        (status = 400, description = "An option or the form is wrong, or there is no audio.", body = ErrorBody),
+        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
+        (status = 408, description = "The body was not sent in time.", body = ErrorBody),
+        (status = 413, description = "The audio file is too large.", body = ErrorBody),
+        (status = 415, description = "The body is no audio that is accepted, or compressed.", body = ErrorBody),
+        (
+            status = 429,
+            description = "Too many jobs are kept, too much is being uploaded, or this client asks too often.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+        (status = 500, description = "The server is at fault.", body = ErrorBody),
+        (
+            status = 503,
+            description = "The model is being loaded, the server is shutting down, or the song was not here in time.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+    ),
+    security((), ("bearer" = []), ("api_key" = []))
+)]
+pub(crate) async fn create(
+    State(state): State<SharedState>,
+    Extension(client): Extension<Client>,
+    request: Request,
+) -> Result<Response, ServerError> {
+    let id = request_id(&request).to_owned();
+    let (parts, body) = request.into_parts();
+    let body = IncomingBody::new(body);
+    let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
+    let order = intake::receive(&state, Purpose::Job, parts, body);
+    let order = state.in_time(order).await?;
+    let job = Job::new(
+        client,
+        id,
+        Arc::clone(&order.watch),
+        Arc::clone(&state.metrics),
+    );
+    if let Err(full) = state.jobs.put(Arc::clone(&job)) {
+        order.presence.answered();
+        return Err(full);
+    }
+    let location = format!("/jobs/{}", job.id);
+    let status = JobStatus::of(&job);
+    let span = tracing::info_span!("job", id = %job.id);
+    tokio::spawn(live(Arc::clone(&state), order, job, under_way).instrument(span));
+    let location = HeaderValue::try_from(location)
+        .map_err(|error| ServerError::Internal(error.to_string()))?;
+    let headers = [(header::LOCATION, location)];
+    Ok((StatusCode::ACCEPTED, headers, Json(status)).into_response())
+}
+
+/// A job's life, until nobody needs it any more.
+async fn live(state: SharedState, mut order: Order, job: Arc<Job>, under_way: TaskTrackerToken) {
+    let done = tokio::select! {
+        done = run(&state, &mut order, &job) => done,
+        () = state.lifecycle.aborted() => Err(state.draining()),
+        () = job.deleted.cancelled() => return,
+    };
+    let Order {
+        options,
+        shape,
+        presence,
+        ..
+    } = order;
+    job.turn(match done {
+        Ok(dance) => JobState::Done(Arc::new(Finished {
+            dance: Arc::new(dance),
+            options,
+            format: shape.format,
+        })),
+        Err(error) => {
+            if error.stops_work() {
+                job.watch.cancel.cancel();
+            }
+            JobState::Failed(error.report())
+        }
+    });
+    presence.answered();
+    // A result that nobody could fetch would be lost: the server stops only when it was fetched, or when
+    // nobody asks for it any more.
+    let wait = async {
+        state.lifecycle.draining().await;
+        let until = Instant::now() + AWAITED_AT_MOST;
+        while job.is_awaited(AWAITED) && Instant::now() < until {
+            tokio::time::sleep(LOOK_AGAIN).await;
+        }
+    };
+    tokio::select! {
+        () = wait => {}
+        () = job.fetched.cancelled() => {}
+        () = job.deleted.cancelled() => {}
+        () = tokio::time::sleep(state.limits.job_ttl.0) => {}
+    }
+    drop(under_way);
+}
+
+async fn run(
+    state: &SharedState,
+    order: &mut Order,
+    job: &Job,
+) -> Result<crate::format::Dance, ServerError> {
+    let closed = |closed: tokio::sync::AcquireError| ServerError::Internal(closed.to_string());
+    let _slot = state.job_slots.acquire().await.map_err(closed)?;
+    let permit = state.admission.admit_patient().await?;
+    order.hold_audio(state).await?;
+    job.turn(JobState::Running);
+    let danced = work::dance(&state.metrics, order.work(), permit, "job").await?;
+    danced.permit.danced();
+    Ok(danced.dance)
+}
+
+/// Says how far a job is.
+#[utoipa::path(
+    get,
+    path = "/jobs/{id}",
+    tag = "jobs",
+    params(("id" = String, Path, description = "The job's id.")),
+    responses(
+        (status = 200, description = "How far it is.", body = JobStatus),
+        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
+        (status = 404, description = "There is no such job.", body = ErrorBody),
+        (
+            status = 429,
+            description = "This client asks too often.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+    ),
+    security((), ("bearer" = []), ("api_key" = []))
+)]
+pub(crate) async fn status(
+    State(state): State<SharedState>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Result<Json<JobStatus>, ServerError> {
+    Ok(Json(JobStatus::of(&*find(&state, client, &id)?)))
+}
+
+/// Gives a job's dance, in any format.
+///
+/// The options that say how a dance is written may be given again: format, include, encoding, bvh_unit.
+/// A job that failed is answered as `POST /generate` would have been.
+#[utoipa::path(
+    get,
+    path = "/jobs/{id}/result",
+    tag = "jobs",
+    params(
+        ("id" = String, Path, description = "The job's id."),
+        ("format" = Option<String>, Query, description = "Format of the dance: json or bvh."),
+        ("include" = Option<String>, Query, description = "`rotations` adds local rotations and the root's path to the JSON."),
+        ("encoding" = Option<String>, Query, description = "How the JSON carries large arrays: json or base64."),
+        ("bvh_unit" = Option<String>, Query, description = "Unit of lengths in BVH: cm or m."),
+    ),
+    responses(
+        (
+            status = 200,
+            description = "The dance.",
+            content((DanceJson<'static> = "application/json"), (String = "application/x-bvh")),
+            headers(
+                ("x-seed" = u64, description = "The seed that was used."),
+                ("x-tail" = String, description = "The option `continue_from` of a dance that is to go on from the end of this one."),
+            )
+        ),
+        (status = 400, description = "An option is wrong.", body = ErrorBody),
+        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
+        (status = 404, description = "There is no such job.", body = ErrorBody),
+        (status = 409, description = "The job is not done.", body = ErrorBody),
+        (status = 415, description = "The song is no audio that is accepted.", body = ErrorBody),
+        (status = 422, description = "The song cannot be decoded, or is too short or too long.", body = ErrorBody),
+        (
+            status = 429,
+            description = "This client asks too often.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+        (status = 500, description = "The server is at fault.", body = ErrorBody),
+        (
+            status = 503,
+            description = "The job was cut off because the server stops, or the answer could not begin in time.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+    ),
+    security((), ("bearer" = []), ("api_key" = []))
+)]
+pub(crate) async fn result(
+    State(state): State<SharedState>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+    uri: Uri,
+) -> Result<Response, ServerError> {
+    let job = find(&state, client, &id)?;
+    let asked = RequestOptions::from_query(&uri)?;
+    let finished = match job.ask() {
+        JobState::Done(finished) => finished,
+        JobState::Failed(report) => return Ok(failed(&job, report)),
+        unfinished => {
+            return Err(ServerError::JobNotDone {
+                id: job.id.to_string(),
+                state: unfinished.name(),
+            });
+        }
+    };
+    let options = finished.options.written_as(&asked)?;
+    let format = asked.format.unwrap_or(finished.format);
+    let under_way = state.lifecycle.go_on();
+    let rendered = state.in_time(async {
+        let watch = Watch::new(Arc::clone(&state.metrics));
+        let dance = Arc::clone(&finished.dance);
+        let body = work::write(&state.metrics, &watch, dance, options, format).await?;
+        let room = state.answers.share(body.len() as u64).await?;
+        Ok(Rendered::new(
+            &finished.dance,
+            body,
+            format,
+            Duration::ZERO,
+            room,
+        ))
+    });
+    let rendered = rendered.await?;
+    Ok(rendered.respond((FetchedOnDrop(job), under_way)))
+}
+
+/// The result counts as fetched once it has been sent.
+struct FetchedOnDrop(Arc<Job>);
+
+impl Drop for FetchedOnDrop {
+    fn drop(&mut self) {
+        self.0.fetched.cancel();
+    }
+}
+
+fn failed(job: &Job, report: Report) -> Response {
+    job.fetched.cancel();
+    report.into_response()
+}
+
+/// Stops a job, if it is not done, and forgets it.
+#[utoipa::path(
+    delete,
+    path = "/jobs/{id}",
+    tag = "jobs",
+    params(("id" = String, Path, description = "The job's id.")),
+    responses(
+        (status = 204, description = "There is no such job any more."),
+        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
+        (status = 404, description = "There is no such job.", body = ErrorBody),
+        (
+            status = 429,
+            description = "This client asks too often.",
+            body = ErrorBody,
+            headers(("retry-after" = u64, description = "Seconds to wait."))
+        ),
+    ),
+    security((), ("bearer" = []), ("api_key" = []))
+)]
+pub(crate) async fn delete(
+    State(state): State<SharedState>,
+    Extension(client): Extension<Client>,
+    Path(id): Path<String>,
+) -> Result<StatusCode, ServerError> {
+    let job = find(&state, client, &id)?;
+    state.jobs.remove(job.id);
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// A job of this client: one that was ordered with a key is found with that key only.
+fn find(state: &SharedState, client: Client, id: &str) -> Result<Arc<Job>, ServerError> {
+    let none = || ServerError::NoJob { id: shorten(id) };
+    let job = Uuid::try_parse(id)
+        .ok()
+        .and_then(|id| state.jobs.get(id))
+        .ok_or_else(none)?;
+    match job.owner {
+        Client::Key(_) if job.owner != client => Err(none()),
+        _ => Ok(job),
+    }
+}

@@ -1,0 +1,169 @@
+//! The blocking part of a request, off the async threads.
+
+use std::sync::Arc;
+
+use bytes::Bytes;
+use tracing::Span;
+
+use super::{
+    admission::Permit,
+    envelope::panic_text,
+    error::ServerError,
+    intake::Order,
+    metrics::SharedMetrics,
+    options::RequestOptions,
+    state::{Generate, SharedState},
+    watch::{Phase, Watch},
+};
+use crate::{
+    Error,
+    audio::AudioError,
+    engine::{Ending, GenerationOptions, Listener},
+    format::{Dance, OutputFormat},
+};
+
+/// What the engine is asked for.
+pub(crate) struct Work {
+    engine: Arc<dyn Generate>,
+    audio: Bytes,
+    options: GenerationOptions,
+    watch: Arc<Watch>,
+}
+
+impl Order {
+    /// What the engine is asked for; the audio goes with it.
+    pub(crate) fn work(&mut self) -> Work {
+        Work {
+            engine: Arc::clone(&self.engine),
+            audio: std::mem::take(&mut self.audio),
+            options: self.options.generation(self.shape.format),
+            watch: Arc::clone(&self.watch),
+        }
+    }
+
+    /// Waits for room for the song's seconds; how long it is, is known once it is decoded.
+    pub(crate) async fn hold_audio(&self, state: &SharedState) -> Result<(), ServerError> {
+        let longest = state.limits.max_audio_seconds;
+        let seconds = self.options.longest_seconds().unwrap_or(longest);
+        let share = state
+            .audio
+            .share(seconds.min(longest).ceil() as u64)
+            .await?;
+        self.watch.hold_audio(share);
+        Ok(())
+    }
+}
+
+/// A dance, and the right to work that it came about by.
+pub(crate) struct Danced {
+    pub(crate) dance: Dance,
+    pub(crate) permit: Permit,
+}
+
+/// Generates a whole dance of `kind`.
+pub(crate) async fn dance(
+    metrics: &SharedMetrics,
+    work: Work,
+    permit: Permit,
+    kind: &'static str,
+) -> Result<Danced, ServerError> {
+    let Work {
+        engine,
+        audio,
+        options,
+        watch,
+    } = work;
+    let measured = Arc::clone(metrics);
+    run(metrics, &watch, move |watch| {
+        let dance = engine.generate(audio, &options, &watch.cancel, Arc::clone(watch) as _)?;
+        measured.danced(kind, dance.codes.upper.len(), &dance.timings);
+        Ok(Danced { dance, permit })
+    })
+    .await
+}
+
+/// Generates a dance that `listener` hears; the right to work is given back at its end.
+pub(crate) async fn stream(
+    metrics: &SharedMetrics,
+    work: Work,
+    permit: Permit,
+    listener: Arc<dyn Listener>,
+) -> Result<Ending, ServerError> {
+    let Work {
+        engine,
+        audio,
+        options,
+        watch,
+    } = work;
+    let measured = Arc::clone(metrics);
+    run(metrics, &watch, move |watch| {
+        let ending = engine.stream(audio, &options, &watch.cancel, listener)?;
+        measured.danced("stream", ending.codes.upper.len(), &ending.timings);
+        permit.danced();
+        Ok(ending)
+    })
+    .await
+}
+
+/// Writes a dance as asked for.
+pub(crate) async fn write(
+    metrics: &SharedMetrics,
+    watch: &Arc<Watch>,
+    dance: Arc<Dance>,
+    options: RequestOptions,
+    format: OutputFormat,
+) -> Result<Vec<u8>, ServerError> {
+    let measured = Arc::clone(metrics);
+    run(metrics, watch, move |watch| {
+        watch.enter(Phase::Write);
+        let started = std::time::Instant::now();
+        let span = tracing::info_span!("stage", otel.name = "write");
+        let body = span.in_scope(|| options.write(&dance, format))?;
+        measured.stage("write", started.elapsed());
+        Ok(body)
+    })
+    .await
+}
+
+/// Runs on a blocking thread, in this request's span. What it holds stays held until it has really ended,
+/// whether or not somebody still waits.
+async fn run<T: Send + 'static>(
+    metrics: &SharedMetrics,
+    watch: &Arc<Watch>,
+    work: impl FnOnce(&Arc<Watch>) -> Result<T, ServerError> + Send + 'static,
+) -> Result<T, ServerError> {
+    let span = Span::current();
+    let inner = Arc::clone(watch);
+    let ended = tokio::task::spawn_blocking(move || {
+        let _entered = span.entered();
+        // Also when the work panics.
+        let _end = EndOnDrop(&inner);
+        if !inner.begin() {
+            return Err(crate::engine::EngineError::Cancelled.into());
+        }
+        work(&inner)
+    })
+    .await;
+    let result = match ended {
+        Ok(result) => result,
+        Err(failed) => {
+            metrics.panicked(watch.phase().name());
+            Err(ServerError::Internal(match failed.try_into_panic() {
+                Ok(panic) => format!("panic: {}", panic_text(panic.as_ref())),
+                Err(failed) => failed.to_string(),
+            }))
+        }
+    };
+    if let Err(ServerError::Dance(Error::Audio(AudioError::DecoderPanic { .. }))) = &result {
+        metrics.panicked("decode");
+    }
+    result
+}
+
+struct EndOnDrop<'a>(&'a Watch);
+
+impl Drop for EndOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.end();
+    }
+}

@@ -1,0 +1,113 @@
+//! Connections: slow ones, silent ones, too many, and HTTP/2.
+
+use std::{
+    io::{Read, Write},
+    net::TcpStream,
+    num::NonZeroUsize,
+    time::{Duration, Instant},
+};
+
+use bailando::server::{Limits, Seconds};
+
+use crate::{
+    fake::Fake,
+    lifecycle::{Server, get, post},
+};
+
+const SOON: Duration = Duration::from_millis(300);
+/// Far more than is needed.
+const LONG: Duration = Duration::from_secs(10);
+
+fn impatient() -> Limits {
+    Limits {
+        header_read_timeout: Seconds(SOON),
+        ..Limits::default()
+    }
+}
+
+/// Sends `pieces` one by one; how long it took until the server closed.
+fn dropped_after(server: &Server, pieces: Vec<&'static [u8]>) -> Duration {
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    stream.set_read_timeout(Some(LONG)).unwrap();
+    let started = Instant::now();
+    for piece in pieces {
+        // The server may have closed already.
+        let _ = stream.write_all(piece);
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    started.elapsed()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn heads_that_do_not_come_in_time_are_dropped() {
+    let server = Server::start(&Fake::new(), impatient()).await;
+    tokio::task::block_in_place(|| {
+        let dribble: Vec<&[u8]> = vec![b"GET /health HTTP/1.1\r\n", b"Host: x\r\n", b"X-A: b\r\n"];
+        let http2: Vec<&[u8]> = vec![b"PRI * HTTP/2.0\r\n"];
+        for pieces in [Vec::new(), vec![&b"G"[..]], dribble, http2] {
+            let time = dropped_after(&server, pieces.clone());
+            assert!(time >= SOON / 2 && time < LONG / 2, "{pieces:?}: {time:?}");
+        }
+    });
+    server.expect(post(b"song"), 200).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn connections_beyond_the_most_wait_for_a_place() {
+    let limits = Limits {
+        max_connections: NonZeroUsize::MIN,
+        ..impatient()
+    };
+    let server = Server::start(&Fake::new(), limits).await;
+    let silent = TcpStream::connect(server.address).unwrap();
+    let started = Instant::now();
+    server.expect(get("/health"), 200).await;
+    assert!(started.elapsed() >= SOON / 2, "{:?}", started.elapsed());
+    drop(silent);
+}
+
+/// The preface of HTTP/2 with prior knowledge is answered with settings.
+#[tokio::test(flavor = "multi_thread")]
+async fn http2_is_spoken_without_tls() {
+    const SETTINGS: [u8; 9] = [0, 0, 0, 4, 0, 0, 0, 0, 0];
+    let server = Server::start(&Fake::new(), Limits::default()).await;
+    tokio::task::block_in_place(|| {
+        let mut stream = TcpStream::connect(server.address).unwrap();
+        stream.set_read_timeout(Some(LONG)).unwrap();
+        stream
+            .write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n")
+            .unwrap();
+        stream.write_all(&SETTINGS).unwrap();
+        let mut head = [0; 9];
+        stream.read_exact(&mut head).unwrap();
+        assert_eq!(head[3], 4, "{head:?}");
+    });
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_takes_nothing_of_its_answer_is_dropped() {
+    let fake = Fake::new();
+    let limits = Limits {
+        answer_idle_timeout: Seconds(SOON),
+        max_concurrent_requests: NonZeroUsize::MIN,
+        ..Limits::default()
+    };
+    let server = Server::start(&fake, limits).await;
+    // So many answers, of which nothing is read, that no buffer holds them all.
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    stream.set_write_timeout(Some(LONG)).unwrap();
+    let request = b"GET /api-doc/openapi.json HTTP/1.1\r\nHost: x\r\n\r\n";
+    let started = Instant::now();
+    let dropped = tokio::task::block_in_place(|| {
+        while started.elapsed() < LONG {
+            if stream.write_all(request).is_err() {
+                return true;
+            }
+        }
+        false
+    });
+    assert!(dropped);
+    server.expect(post(b"song"), 200).await;
+}

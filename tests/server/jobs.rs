@@ -1,0 +1,172 @@
+//! Dances that are ordered now and fetched later.
+
+use std::{
+    num::NonZeroUsize,
+    sync::{Arc, atomic::Ordering},
+    time::{Duration, Instant},
+};
+
+use axum::{
+    Router,
+    body::Body,
+    http::{Request, StatusCode},
+};
+use bailando::server::{Limits, Seconds};
+use serde_json::Value;
+
+use crate::{
+    client::{app, get, post, raw, send, small_limits},
+    fake::{BLOCK, Fake, PANIC},
+    lifecycle::{Server, get as get_bytes, post_to},
+};
+
+/// Orders a job, and gives the path that it is asked about at.
+async fn order(app: &Router, query: &str, audio: &'static [u8]) -> String {
+    let accepted = send(app, post("/jobs", query, audio)).await;
+    assert_eq!(accepted.status, StatusCode::ACCEPTED, "{}", accepted.json());
+    let path = accepted.header("location").to_owned();
+    assert_eq!(
+        path,
+        format!("/jobs/{}", accepted.json()["id"].as_str().unwrap())
+    );
+    path
+}
+
+/// Asks until the job is no longer in one of `states`.
+async fn after(app: &Router, path: &str, states: &[&str]) -> Value {
+    loop {
+        let status = get(app, path).await.json();
+        if !states.contains(&status["state"].as_str().unwrap()) {
+            return status;
+        }
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+async fn delete(app: &Router, path: &str) -> StatusCode {
+    let request = Request::delete(path).body(Body::empty()).unwrap();
+    send(app, request).await.status
+}
+
+#[tokio::test]
+async fn a_job_is_ordered_asked_about_fetched_and_deleted() {
+    let fake = Fake::new();
+    let app = app(&fake, &Limits::default());
+    let path = order(&app, "seed=4", BLOCK).await;
+    fake.wait_started(1).await;
+    let running = after(&app, &path, &["queued"]).await;
+    assert_eq!(
+        (&running["state"], &running["stage"]),
+        (&"running".into(), &"decode".into())
+    );
+    let early = get(&app, &format!("{path}/result")).await;
+    let said = early.expect_error(409, "job_not_done");
+    assert!(said.contains("it is running"), "{said}");
+    fake.release();
+    let done = after(&app, &path, &["running"]).await;
+    assert_eq!(done["state"], "done");
+    assert_eq!(
+        (&done["codes_done"], &done["codes_total"]),
+        (&1.into(), &1.into())
+    );
+    let result = done["result"].as_str().unwrap();
+    let json = get(&app, result).await;
+    assert_eq!(
+        (json.status, &json.json()["seed"]),
+        (StatusCode::OK, &4.into())
+    );
+    let bvh = get(&app, &format!("{result}?format=bvh&bvh_unit=m")).await;
+    assert!(bvh.body.starts_with(b"HIERARCHY"));
+    assert_eq!(bvh.header("x-seed"), "4");
+    let another = get(&app, &format!("{result}?seed=5")).await;
+    let said = another.expect_error(400, "invalid_option");
+    assert!(said.contains("the dance is made already"), "{said}");
+    assert_eq!(delete(&app, &path).await, StatusCode::NO_CONTENT);
+    get(&app, &path).await.expect_error(404, "no_such_job");
+    assert_eq!(delete(&app, &path).await, StatusCode::NOT_FOUND);
+    get(&app, "/jobs/no-id")
+        .await
+        .expect_error(404, "no_such_job");
+}
+
+#[tokio::test]
+async fn a_job_that_fails_says_why() {
+    let app = app(&Fake::new(), &Limits::default());
+    let path = order(&app, "", PANIC).await;
+    let failed = after(&app, &path, &["queued", "running"]).await;
+    assert_eq!(failed["state"], "failed");
+    assert_eq!(failed["error"]["error_type"], "internal");
+    let result = get(&app, &format!("{path}/result")).await;
+    result.expect_error(500, "internal");
+    let wrong = send(&app, post("/jobs", "fps=1", "song")).await;
+    wrong.expect_error(400, "invalid_option");
+}
+
+#[tokio::test]
+async fn a_deleted_job_stops_its_work() {
+    let fake = Fake::new();
+    let app = app(&fake, &small_limits());
+    let running = order(&app, "", BLOCK).await;
+    fake.wait_started(1).await;
+    let queued = order(&app, "", BLOCK).await;
+    assert_eq!(get(&app, &queued).await.json()["state"], "queued");
+    assert_eq!(delete(&app, &queued).await, StatusCode::NO_CONTENT);
+    assert_eq!(delete(&app, &running).await, StatusCode::NO_CONTENT);
+    fake.wait_ended(1).await;
+    assert!(fake.saw_cancel.load(Ordering::SeqCst));
+    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    assert_eq!(fake.generations.load(Ordering::SeqCst), 2);
+}
+
+#[tokio::test]
+async fn jobs_are_bounded_and_leave_places_for_others() {
+    let fake = Fake::new();
+    let limits = Limits {
+        max_concurrent_requests: NonZeroUsize::new(2).unwrap(),
+        max_jobs: NonZeroUsize::new(3).unwrap(),
+        job_ttl: Seconds(Duration::from_millis(200)),
+        ..Limits::default()
+    };
+    let app = app(&fake, &limits);
+    for _ in 0..3 {
+        order(&app, "", BLOCK).await;
+    }
+    let one_more = send(&app, post("/jobs", "", "song")).await;
+    one_more.expect_error(429, "too_many_jobs");
+    // Only one of them runs: there is a place for who waits.
+    fake.wait_started(1).await;
+    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    fake.release();
+    fake.wait_ended(4).await;
+    tokio::time::sleep(limits.job_ttl.0 * 2).await;
+    order(&app, "", b"song").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_server_that_stops_ends_its_jobs_and_waits_for_who_asks() {
+    let fake = Fake::new();
+    let server = Server::start(&fake, small_limits()).await;
+    let accepted = server.expect(post_to("/jobs", BLOCK), 202).await;
+    let location = accepted
+        .lines()
+        .find_map(|line| line.strip_prefix("location: "))
+        .unwrap()
+        .to_owned();
+    fake.wait_started(1).await;
+    server.stop();
+    while server.expect(get_bytes("/health"), 200).await.is_empty() {}
+    server.expect(post_to("/jobs", b"song"), 503).await;
+    fake.release();
+    let result = loop {
+        let status = server.expect(get_bytes(&location), 200).await;
+        if status.contains("\"done\"") {
+            let result = get_bytes(&format!("{location}/result"));
+            break server.expect(result, 200).await;
+        }
+    };
+    assert!(result.contains("\"positions\""), "{result}");
+    let fetched = Instant::now();
+    server.task.await.unwrap().unwrap();
+    assert!(fetched.elapsed() < Duration::from_secs(4));
+    assert_eq!(Arc::strong_count(&fake), 1);
+}
