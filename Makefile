@@ -9,10 +9,10 @@ DOCKER ?= docker
 IMAGE ?= bailando
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run build test fmt deny clean docker toolchain
+.PHONY: help setup run build test fmt deny lint-deploy clean docker toolchain
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: ## fetch the ONNX Runtime library (pinned and checksummed) into .onnxruntime/
 	@if [ -n "$$ORT_DYLIB_PATH" ]; then echo "ORT_DYLIB_PATH is set: no library is fetched"; \
@@ -42,6 +42,9 @@ deny: ## check licences, sources and advisories of the dependencies (needs cargo
 	@$(CARGO) deny --version >/dev/null 2>&1 || \
 		{ echo "cargo-deny is missing: cargo install cargo-deny --locked" >&2; exit 1; }
 	$(CARGO) deny --locked check
+
+lint-deploy: ## check Dockerfile, deploy/ and the workflows with offline tools (needs python3)
+	@scripts/check-deploy.sh
 
 clean: ## remove build outputs and the fetched library
 	$(CARGO) clean
