@@ -5,6 +5,8 @@ use super::floor_correction;
 /// How far ahead feet must be known before a frame is settled, seconds: half of the window that the
 /// correction looks at around a frame, and as much again, as its curve is smooth over two windows.
 const LOOKAHEAD_SECONDS: f64 = 2.5;
+/// The same for the first frames of a dance, which somebody waits for: what comes later is led on from there.
+const FIRST_LOOKAHEAD_SECONDS: f64 = 2.1;
 /// How much of what has left is looked at again, seconds: six windows; what is before them says nothing
 /// about the curve here.
 const HINDSIGHT_SECONDS: f64 = 10.0;
@@ -43,7 +45,11 @@ impl FloorLine {
     pub(super) fn push(&mut self, heights: Vec<f32>) -> Vec<f32> {
         self.heights.extend(heights);
         let known = self.heights.len();
-        let settled = known.saturating_sub(self.frames(LOOKAHEAD_SECONDS));
+        let lookahead = match self.lifts.is_empty() {
+            true => FIRST_LOOKAHEAD_SECONDS,
+            false => LOOKAHEAD_SECONDS,
+        };
+        let settled = known.saturating_sub(self.frames(lookahead));
         let least = self.lifts.len() + self.frames(LEAST_SECONDS);
         if !self.as_known || settled < least {
             return Vec::new();
@@ -164,8 +170,10 @@ mod tests {
     #[test]
     fn a_frame_leaves_when_enough_is_known_behind_it() {
         let mut line = FloorLine::new(FPS as u32, true);
-        let left = line.push(heights(4)).len();
-        assert_eq!(left, (1.5 * FPS as f32) as usize);
-        assert!(line.push(vec![0.0; 3]).is_empty());
+        assert!(line.push(heights(2)).is_empty());
+        let left = line.push(heights(1)).len();
+        assert_eq!(left, 54);
+        let more = line.push(heights(1)).len();
+        assert_eq!(left + more, (1.5 * FPS as f32) as usize);
     }
 }

@@ -22,6 +22,9 @@ const LAST_WORDS: Duration = Duration::from_secs(1);
 /// head would otherwise hold the server for as long as it likes.
 const CONNECTION_GRACE: Duration = Duration::from_secs(1);
 
+/// How often the model is looked after.
+const LOOK_AFTER_MODEL: Duration = Duration::from_secs(1);
+
 /// Why the server did not start, or ended other than in good order.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -55,6 +58,9 @@ pub enum ServeError {
     /// The listener has no address.
     #[error("listening failed")]
     Listen(#[source] io::Error),
+    /// The model has stopped for good.
+    #[error("the model has stopped")]
+    ModelStopped,
     /// Requests were cut off when their time was over.
     #[error(
         "{lost} requests were cut off: they had not ended {timeout} s after the server was told to stop"
@@ -124,8 +130,12 @@ pub async fn run(
     let load_and_go_on = async {
         let engine = load.await?;
         tracing::info!(%address, model = engine.manifest().name, "listening");
-        state.finish_loading(engine);
-        std::future::pending::<Result<(), ServeError>>().await
+        state.finish_loading(Arc::clone(&engine));
+        while engine.is_alive() {
+            tokio::time::sleep(LOOK_AFTER_MODEL).await;
+        }
+        // Nothing here can start it again; whoever looks after the process can.
+        Err::<(), _>(ServeError::ModelStopped)
     };
     tokio::select! {
         () = &mut server => return Ok(()),

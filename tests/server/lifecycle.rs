@@ -222,6 +222,16 @@ async fn a_model_that_cannot_be_loaded_ends_the_server() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_model_that_stops_for_good_ends_the_server() {
+    let fake = Fake::new();
+    let server = Server::start(&fake, Limits::default()).await;
+    server.expect(get("/ready"), 200).await;
+    fake.stopped.store(true, Ordering::SeqCst);
+    let ended = server.task.await.unwrap();
+    assert!(matches!(ended, Err(ServeError::ModelStopped)));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn requests_that_outlive_the_drain_are_told_so() {
     let fake = Fake::new();
     let limits = Limits {

@@ -235,3 +235,96 @@ fn the_probe_asks_where_the_settings_say_and_no_proxy() {
         assert_eq!(line.join().unwrap(), format!("GET {path} HTTP/1.1"));
     }
 }
+
+/// Takes one request whole, answers it with 200, and gives its first line and body.
+fn collect_once(listener: TcpListener) -> thread::JoinHandle<(String, Vec<u8>)> {
+    thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let mut head = Vec::new();
+        while !head.ends_with(b"\r\n\r\n") {
+            let mut byte = [0];
+            stream.read_exact(&mut byte).unwrap();
+            head.extend(byte);
+        }
+        let head = String::from_utf8(head).unwrap().to_lowercase();
+        let length = head
+            .lines()
+            .find_map(|line| line.strip_prefix("content-length: "))
+            .unwrap();
+        let mut body = vec![0; length.parse().unwrap()];
+        stream.read_exact(&mut body).unwrap();
+        stream
+            .write_all(b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
+            .unwrap();
+        (head.lines().next().unwrap().to_owned(), body)
+    })
+}
+
+/// What is not sent yet when the server is stopped is sent then.
+#[test]
+fn traces_go_to_the_collector_that_the_settings_name() {
+    let collector = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("http://{}", collector.local_addr().unwrap());
+    let port = free_port();
+    let child = bailando(&["serve", "--port", &port.to_string()])
+        .args(["--otlp-endpoint", &endpoint])
+        .stderr(Stdio::null())
+        .spawn();
+    let mut server = Running(child.unwrap());
+    let collected = collect_once(collector);
+    while !get_patiently(port, "/ready").starts_with("HTTP/1.1 200") {}
+    server.terminate();
+    assert_eq!(server.wait().code(), Some(0));
+    let (line, body) = collected.join().unwrap();
+    assert_eq!(line, "post /v1/traces http/1.1");
+    let body = String::from_utf8_lossy(&body);
+    assert!(
+        body.contains("bailando") && body.contains("request"),
+        "{body}"
+    );
+    assert!(body.contains("/ready"), "{body}");
+}
+
+#[test]
+fn a_key_is_asked_for_and_never_logged() {
+    const KEY: &str = "a-key-that-nobody-guesses";
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("keys");
+    fs::write(&file, format!("{KEY}\n")).unwrap();
+    let port = free_port();
+    let log = folder.path().join("log");
+    let child = bailando(&["serve", "--port", &port.to_string(), "--json-output"])
+        .arg("--api-key-file")
+        .arg(&file)
+        .env("BAILANDO_API_KEY", "another-key")
+        .env("RUST_LOG", "trace")
+        .stderr(fs::File::create(&log).unwrap())
+        .spawn();
+    let mut server = Running(child.unwrap());
+    while !get_patiently(port, "/ready").starts_with("HTTP/1.1 200") {}
+    let ask = |key: &str| {
+        let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+        let head = format!("GET /codes HTTP/1.1\r\nHost: x\r\nConnection: close\r\n{key}\r\n");
+        stream.write_all(head.as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).unwrap();
+        answer
+    };
+    assert!(ask("").starts_with("HTTP/1.1 401"));
+    assert!(ask("X-API-Key: wrong\r\n").starts_with("HTTP/1.1 401"));
+    for key in [KEY, "another-key"] {
+        let answer = ask(&format!("Authorization: Bearer {key}\r\n"));
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+    }
+    server.terminate();
+    assert_eq!(server.wait().code(), Some(0));
+    let log = fs::read_to_string(&log).unwrap();
+    assert!(log.contains("answered"), "{log}");
+    assert!(!log.contains(KEY) && !log.contains("another-key"));
+    let missing = bailando(&["serve", "--port", "0", "--api-key-file", "no/such/file"])
+        .output()
+        .unwrap();
+    let said = said(&missing);
+    assert_eq!(missing.status.code(), Some(1), "{said}");
+    assert!(said.contains("no/such/file"), "{said}");
+}

@@ -1,6 +1,8 @@
 //! The service over the default model, with real and with broken audio.
 
 use std::{
+    num::NonZeroUsize,
+    panic::panic_any,
     path::{Path, PathBuf},
     sync::{Arc, LazyLock},
     time::{Duration, Instant},
@@ -8,13 +10,19 @@ use std::{
 
 use axum::{Router, http::StatusCode};
 use bailando::{
-    engine::Choreographer,
+    CancelToken,
+    engine::{Choreographer, Ending, EngineError, GenerationOptions, Listener, Progress, Stage},
+    format::Dance,
+    model::Manifest,
+    motion::Positions,
     server::{Access, Generate, Limits, ServerConfig, router},
 };
+use bytes::Bytes;
 use serde_json::Value;
 
 use crate::{
-    client::{Answer, form, get, raw, send},
+    client::{Answer, form, get, post, raw, send},
+    streaming::{in_lines, lines},
     writers::{SilentFlac, wav, wav_declaring, wav16},
 };
 
@@ -178,4 +186,173 @@ async fn info_is_that_of_the_model() {
             .len(),
         MODEL.manifest().skeleton.joints.len()
     );
+}
+
+/// The engine with a fault in it, where the seed says so.
+struct Faulty(Choreographer);
+
+/// Panics where it hears of this.
+struct Trap {
+    stage: Stage,
+    inner: Arc<dyn Progress>,
+}
+
+impl Progress for Trap {
+    fn stage(&self, stage: Stage) {
+        self.inner.stage(stage);
+        if stage == self.stage {
+            panic_any("a panic that the test wants");
+        }
+    }
+
+    fn decoded(&self, seconds: f64) {
+        self.inner.decoded(seconds);
+    }
+
+    fn codes(&self, done: usize, total: usize) {
+        self.inner.codes(done, total);
+        // On the model's own thread, in the midst of its work.
+        if self.stage == Stage::Generating && done * 2 > total {
+            panic_any("a panic that the test wants");
+        }
+    }
+}
+
+impl Generate for Faulty {
+    fn manifest(&self) -> &Manifest {
+        self.0.manifest()
+    }
+
+    fn model_sha256(&self) -> &str {
+        self.0.model_sha256()
+    }
+
+    fn is_alive(&self) -> bool {
+        self.0.is_alive()
+    }
+
+    fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
+        self.0.check(options)
+    }
+
+    fn generate(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        inner: Arc<dyn Progress>,
+    ) -> bailando::Result<Dance> {
+        let stage = match options.seed {
+            Some(101) => Stage::Decoding,
+            Some(102) => Stage::Features,
+            Some(103) => Stage::Generating,
+            _ => return self.0.generate_with_progress(audio, options, cancel, inner),
+        };
+        let trap = Arc::new(Trap { stage, inner });
+        self.0.generate_with_progress(audio, options, cancel, trap)
+    }
+
+    fn stream(
+        &self,
+        audio: Bytes,
+        options: &GenerationOptions,
+        cancel: &CancelToken,
+        listener: Arc<dyn Listener>,
+    ) -> bailando::Result<Ending> {
+        self.0.stream(audio, options, cancel, listener)
+    }
+
+    fn pose(&self, upper: u32, lower: u32) -> bailando::Result<Positions> {
+        self.0.pose(upper, lower)
+    }
+}
+
+/// RELIABILITY, row 9: a panic in decoder, features or the model's thread costs its own request only, though
+/// others share the model's steps with it.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_panic_in_any_stage_costs_its_own_request_only() {
+    let engine: Arc<dyn Generate> = Arc::new(Faulty(MODEL.clone()));
+    let app = router(engine, Limits::default(), Access::default());
+    let ask = |seed: u64| {
+        let app = app.clone();
+        let request = raw(&format!("seed={seed}&duration_s=4"), demo("demo.ogg"));
+        tokio::spawn(async move { send(&app, request).await })
+    };
+    let undisturbed = codes(&ask(1).await.unwrap());
+    for faulty in [101, 102, 103] {
+        let (beside, panicking) = (ask(1), ask(faulty));
+        panicking.await.unwrap().expect_error(500, "internal");
+        assert_eq!(
+            codes(&beside.await.unwrap()),
+            undisturbed,
+            "beside {faulty}"
+        );
+        assert_eq!(codes(&ask(1).await.unwrap()), undisturbed, "after {faulty}");
+    }
+    let metrics = String::from_utf8(get(&app, "/metrics").await.body).unwrap();
+    for place in ["decode", "features"] {
+        let counted = format!("bailando_panics_total{{place=\"{place}\"}} 1");
+        assert!(metrics.contains(&counted), "{metrics}");
+    }
+    assert!(metrics.contains("bailando_requests_running 0"));
+}
+
+/// RELIABILITY, row 11: one thread or two, alone or among others.
+#[tokio::test(flavor = "multi_thread")]
+async fn the_same_song_and_seed_are_the_same_dance_always() {
+    let single = ServerConfig {
+        threads: Some(NonZeroUsize::MIN),
+        model_dir: project("models/default"),
+        ..ServerConfig::default()
+    };
+    let single = Choreographer::open(&single.engine(Arc::new(()))).unwrap();
+    let single = router(Arc::new(single), Limits::default(), Access::default());
+    let ask = |app: &Router, seed: u64| {
+        let app = app.clone();
+        let request = raw(&format!("seed={seed}&duration_s=6"), demo("demo.ogg"));
+        tokio::spawn(async move { send(&app, request).await })
+    };
+    let alone = ask(&single, 7).await.unwrap();
+    let service = service();
+    let together: Vec<_> = [7, 8, 9, 7].map(|seed| ask(&service, seed)).into();
+    let mut together_answers = Vec::new();
+    for answer in together {
+        together_answers.push(answer.await.unwrap());
+    }
+    for same in [0, 3] {
+        let answer = &together_answers[same];
+        assert_eq!(codes(answer), codes(&alone));
+        let numbers = |answer: &Answer| -> Vec<f64> {
+            let positions = answer.json()["positions"].to_string();
+            let numbers = positions.split(['[', ']', ',']);
+            numbers.filter_map(|number| number.parse().ok()).collect()
+        };
+        let (a, b) = (numbers(answer), numbers(&alone));
+        assert_eq!(a.len(), b.len());
+        let apart = a.iter().zip(&b).map(|(a, b)| (a - b).abs());
+        let furthest = apart.fold(0.0, f64::max);
+        assert!(furthest < 1e-5, "{furthest} m");
+    }
+    assert_ne!(codes(&together_answers[1]), codes(&alone));
+}
+
+/// A stream of the real model is its dance, to its end, and clips chain.
+#[tokio::test(flavor = "multi_thread")]
+async fn streams_jobs_and_chains_of_the_real_model() {
+    let service = service();
+    let dance = send(&service, raw("seed=3&duration_s=5", demo("demo.mp3"))).await;
+    let stream = post("/generate/stream", "seed=3&duration_s=5", demo("demo.mp3"));
+    let events = lines(&send(&service, in_lines(stream)).await);
+    let (start, done) = (events.first().unwrap(), events.last().unwrap());
+    assert_eq!(done["codes"], codes(&dance));
+    assert_eq!(start["frames"], dance.json()["frames"]);
+    assert_eq!(done["frames"], dance.json()["frames"]);
+    assert_eq!(start["music"], dance.json()["music"]);
+    let tail = dance.header("x-tail").to_owned();
+    assert_eq!(dance.json()["tail"], tail);
+    let query = format!("seed=4&offset_s=5&duration_s=5&continue_from={tail}");
+    let next = send(&service, raw(&query, demo("demo.mp3"))).await;
+    assert_eq!(next.status, StatusCode::OK, "{}", next.json());
+    let pose = get(&service, "/codes/1/2").await.json();
+    assert_eq!((&pose["frames"], &pose["fps"]), (&32.into(), &60.into()));
 }
