@@ -118,6 +118,7 @@ impl ActorCriticConfig {
             beat: self.reward,
             beat_weight: self.beat_weight,
             consistency_weight: self.consistency_weight,
+            slow_weight: self.slow_weight,
         }
     }
 }
@@ -251,7 +252,7 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
             critic_value,
             entropy,
         ];
-        let means = rollout.mean_rewards();
+        let means = rollout.mean_rewards;
         metrics.extend(means.map(|mean| Device::from_floats([mean], &self.device)));
         metrics.push(divergence.inner());
         self.rollout = Some(rollout);
@@ -301,6 +302,7 @@ fn repertoire(
             0 => usize::MAX,
             codes => codes,
         },
+        takes: stage.takes,
         block: config.gpt.block,
         seed: config.run.seed,
     };

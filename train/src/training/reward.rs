@@ -4,12 +4,15 @@ use std::ops::Range;
 
 use bailando::{
     evaluation::{Pose, speed},
-    motion::{Positions, beat_meeting, dance_beats, smoothed},
+    motion::{Positions, beat_meeting, dance_beats, slow_share, smoothed},
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::FRAMES_PER_CODE;
+
+/// Frames per second of a dance.
+const FPS: f64 = 60.0;
 
 /// SMPL joints that the consistency of the halves is read from.
 const LEFT_KNEE: usize = 4;
@@ -46,6 +49,9 @@ pub struct RewardRule {
     pub beat_weight: f64,
     /// Weight of `R_c`.
     pub consistency_weight: f64,
+    /// What a code loses if all its frames are slow (METRICS.md), else their share of it: standing still
+    /// has no beat to miss.
+    pub slow_weight: f64,
 }
 
 /// The reward of one code.
@@ -84,7 +90,10 @@ impl RewardRule {
                 BeatReward::Pulse => mean(pulse.get(frames).unwrap_or_default()),
                 beat => beat.of(&music, &dance, frames),
             };
-            self.weighed(beat, consistency(poses))
+            let mut reward = self.weighed(beat, consistency(poses));
+            let steps = speed.get(first..(first + poses.len()).min(speed.len()));
+            reward.total -= self.slow_weight * slow_share(steps.unwrap_or_default(), FPS);
+            reward
         });
         rewards.collect()
     }
@@ -297,6 +306,7 @@ mod tests {
             beat: BeatReward::Paper,
             beat_weight: 5.0,
             consistency_weight: 1.0,
+            slow_weight: 0.0,
         };
         // Dance beats are in the codes of frames 20 (code 2), 60 (7), 100 (12) and 140 (17).
         let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
@@ -311,6 +321,7 @@ mod tests {
             beat: BeatReward::Reference,
             beat_weight: 5.0,
             consistency_weight: 0.0,
+            slow_weight: 0.0,
         };
         let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
         let good = rewards.iter().enumerate().filter(|(_, r)| r.total == 5.0);
@@ -325,6 +336,7 @@ mod tests {
             beat: BeatReward::Pulse,
             beat_weight: 1.0,
             consistency_weight: 0.0,
+            slow_weight: 0.0,
         };
         let positions = dance(200);
         // The speed is slowest at frames 20, 60, 100, ..; its smoothing mirrors the ends.

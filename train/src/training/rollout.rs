@@ -23,6 +23,7 @@ const ORDER: u64 = 0x6f72_6465;
 const EPOCH: &str = "rollout.epoch";
 const CODES: &str = "rollout.codes";
 const REWARDS: &str = "rollout.rewards";
+const MEANS: &str = "rollout.means";
 
 /// What is generated in every epoch.
 pub(super) struct Repertoire {
@@ -32,6 +33,8 @@ pub(super) struct Repertoire {
     pub(super) pieces: usize,
     /// Longest piece in codes.
     pub(super) codes: usize,
+    /// Pieces that are danced to each excerpt, from the same start.
+    pub(super) takes: usize,
     /// States of a window.
     pub(super) block: usize,
     pub(super) seed: u64,
@@ -51,7 +54,7 @@ pub(super) struct Episode {
     pub(super) excerpt: Excerpt,
     /// Upper and lower codes.
     pub(super) codes: [Vec<i32>; 2],
-    /// Total, `R_b` and `R_c` of every code.
+    /// Total, `R_b` and `R_c` of every code; with several takes, less the mean over these.
     pub(super) rewards: Vec<[f32; 3]>,
 }
 
@@ -59,6 +62,8 @@ pub(super) struct Episode {
 pub(super) struct Rollout {
     pub(super) epoch: u64,
     pub(super) episodes: Vec<Episode>,
+    /// Means of total, `R_b` and `R_c` over all codes.
+    pub(super) mean_rewards: [f32; 3],
     /// A piece and a window's first code each.
     windows: Vec<(usize, usize)>,
 }
@@ -88,14 +93,15 @@ impl Repertoire {
     pub(super) fn excerpts(&self, epoch: u64) -> Vec<Excerpt> {
         let mut random = generator(self.seed ^ EXCERPTS, epoch);
         let order = shuffled((0..self.songs.len()).collect(), &mut random);
-        let songs = order.iter().cycle().take(self.pieces);
-        let excerpts = songs.map(|&song| {
+        let takes = self.takes.max(1);
+        let songs = order.iter().cycle().take(self.pieces.div_ceil(takes));
+        let excerpts = songs.flat_map(|&song| {
             let codes = self.longest(&self.songs[song]);
             let spare = self.songs[song].rows.nrows() - 1 - codes;
             let first = (unit(&mut random) * (spare + 1) as f64) as usize;
-            Excerpt { song, first, codes }
+            std::iter::repeat_n(Excerpt { song, first, codes }, takes)
         });
-        excerpts.collect()
+        excerpts.take(self.pieces).collect()
     }
 
     /// Scaled music of an excerpt: row `k + 1` is beside code `k`.
@@ -123,9 +129,15 @@ impl Repertoire {
         judge: &Judge,
     ) -> Rollout {
         let excerpts = self.excerpts(epoch);
+        let takes = self.takes.max(1);
         let wishes = excerpts.iter().enumerate().map(|(piece, &excerpt)| {
-            let random = generator(self.seed ^ PIECES, epoch << 32 | piece as u64);
-            Wish::new(self.music(excerpt), starts, random)
+            let random = |piece: usize| generator(self.seed ^ PIECES, epoch << 32 | piece as u64);
+            // All takes start as the first does.
+            let first = piece / takes * takes;
+            Wish {
+                start: Wish::new(self.music(excerpt), starts, random(first)).start,
+                ..Wish::new(self.music(excerpt), starts, random(piece))
+            }
         });
         let mut wishes = wishes.peekable();
         let mut codes = Vec::with_capacity(excerpts.len());
@@ -140,11 +152,21 @@ impl Repertoire {
                 excerpt,
                 codes,
             });
-        self.arranged(epoch, episodes.collect())
+        let mut episodes: Vec<Episode> = episodes.collect();
+        let mean_rewards = mean_rewards(&episodes);
+        if takes > 1 {
+            episodes.chunks_mut(takes).for_each(compare);
+        }
+        self.arranged(epoch, mean_rewards, episodes)
     }
 
     /// The windows of an epoch's pieces, in an order of their own.
-    pub(super) fn arranged(&self, epoch: u64, episodes: Vec<Episode>) -> Rollout {
+    pub(super) fn arranged(
+        &self,
+        epoch: u64,
+        mean_rewards: [f32; 3],
+        episodes: Vec<Episode>,
+    ) -> Rollout {
         let windows = episodes.iter().enumerate().flat_map(|(piece, episode)| {
             let starts = 0..=episode.excerpt.codes - self.block;
             starts.map(move |start| (piece, start))
@@ -152,6 +174,7 @@ impl Repertoire {
         let mut random = generator(self.seed ^ ORDER, epoch);
         Rollout {
             epoch,
+            mean_rewards,
             windows: shuffled(windows.collect(), &mut random),
             episodes,
         }
@@ -177,9 +200,10 @@ impl Repertoire {
                 rewards,
             })
         });
-        Ok(Some(
-            self.arranged(epoch, episodes.collect::<Result<_, _>>()?),
-        ))
+        let means = saved.tensor(MEANS)?.data();
+        let means = [0, 1, 2].map(|part| means.get(part).copied().unwrap_or_default());
+        let episodes = episodes.collect::<Result<_, _>>()?;
+        Ok(Some(self.arranged(epoch, means, episodes)))
     }
 }
 
@@ -191,20 +215,6 @@ impl Rollout {
         let first = step as usize * size % self.windows.len().max(1);
         let windows = self.windows.iter().cycle().skip(first);
         windows.take(size).copied().collect()
-    }
-
-    /// Means of total, `R_b` and `R_c` over all codes.
-    pub(super) fn mean_rewards(&self) -> [f32; 3] {
-        let rewards = self.episodes.iter().flat_map(|episode| &episode.rewards);
-        let mut sums = [0.0_f64; 3];
-        let mut count = 0.0;
-        for reward in rewards {
-            count += 1.0;
-            for (sum, &part) in sums.iter_mut().zip(reward) {
-                *sum += f64::from(part);
-            }
-        }
-        sums.map(|sum| (sum / count) as f32)
     }
 
     /// What was generated is kept: its policy is gone after the epoch's first step.
@@ -222,9 +232,43 @@ impl Rollout {
             let tensor = Tensor::from_fn(vec![values.len() / width, width], |place| values[place]);
             saved.tensors.insert(name.into(), tensor);
         };
+        put(MEANS, 1, self.mean_rewards.to_vec());
         put(EPOCH, 1, vec![self.epoch as f32]);
         put(CODES, 2, codes.collect());
         put(REWARDS, 3, rewards.collect());
+    }
+}
+
+/// Means of total, `R_b` and `R_c` over all codes.
+fn mean_rewards(episodes: &[Episode]) -> [f32; 3] {
+    let rewards = episodes.iter().flat_map(|episode| &episode.rewards);
+    let mut sums = [0.0_f64; 3];
+    let mut count = 0.0;
+    for reward in rewards {
+        count += 1.0;
+        for (sum, &part) in sums.iter_mut().zip(reward) {
+            *sum += f64::from(part);
+        }
+    }
+    sums.map(|sum| (sum / count) as f32)
+}
+
+/// Takes from every reward the mean over the takes at the same code: what the music and the start are worth
+/// is the same for all of them, and says nothing about a take.
+fn compare(takes: &mut [Episode]) {
+    let count = takes.len() as f32;
+    let codes = takes.iter().map(|take| take.rewards.len()).min();
+    for code in 0..codes.unwrap_or(0) {
+        for part in 0..3 {
+            let mean = takes
+                .iter()
+                .map(|take| take.rewards[code][part])
+                .sum::<f32>()
+                / count;
+            for take in takes.iter_mut() {
+                take.rewards[code][part] -= mean;
+            }
+        }
     }
 }
 
@@ -269,11 +313,33 @@ mod tests {
             songs: vec![song(12), song(4), song(30)],
             pieces: 5,
             codes: 16,
+            takes: 1,
             block: 6,
             seed: 3,
         };
         repertoire.keep_usable();
         repertoire
+    }
+
+    #[test]
+    fn takes_are_compared_with_each_other() {
+        let repertoire = Repertoire {
+            takes: 2,
+            ..repertoire()
+        };
+        let excerpts = repertoire.excerpts(4);
+        assert_eq!(excerpts.len(), 5);
+        assert_eq!((excerpts[0], excerpts[2]), (excerpts[1], excerpts[3]));
+        let take = |rewards: [f32; 2]| Episode {
+            excerpt: excerpts[0],
+            codes: [vec![0; 2], vec![0; 2]],
+            rewards: rewards.map(|reward| [reward, 1.0, 2.0 * reward]).to_vec(),
+        };
+        let mut takes = [take([1.0, 5.0]), take([3.0, -5.0])];
+        assert_eq!(mean_rewards(&takes), [1.0, 1.0, 2.0]);
+        compare(&mut takes);
+        assert_eq!(takes[0].rewards, [[-1.0, 0.0, -2.0], [5.0, 0.0, 10.0]]);
+        assert_eq!(takes[1].rewards, [[1.0, 0.0, 2.0], [-5.0, 0.0, -10.0]]);
     }
 
     fn rollout(epoch: u64) -> Rollout {
@@ -284,7 +350,7 @@ mod tests {
             codes: [1, 2].map(|half| vec![half * piece as i32; excerpt.codes]),
             rewards: vec![[piece as f32, 0.1, -0.3]; excerpt.codes],
         });
-        repertoire.arranged(epoch, episodes.collect())
+        repertoire.arranged(epoch, [0.5, 0.1, -0.3], episodes.collect())
     }
 
     #[test]
@@ -336,6 +402,7 @@ mod tests {
         rollout.save(&mut saved);
         let back = repertoire.restore(&saved).unwrap().unwrap();
         assert_eq!((back.epoch, &back.windows), (9, &rollout.windows));
+        assert_eq!(back.mean_rewards, rollout.mean_rewards);
         for (found, wanted) in back.episodes.iter().zip(&rollout.episodes) {
             assert_eq!(found.excerpt, wanted.excerpt);
             assert_eq!(found.codes, wanted.codes);
