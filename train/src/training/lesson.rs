@@ -170,6 +170,7 @@ mod tests {
             }],
             pieces: 1,
             codes: 6,
+            takes: 1,
             block: BLOCK,
             seed: 1,
         };
@@ -178,7 +179,7 @@ mod tests {
             codes: [(0..6).collect(), (10..16).collect()],
             rewards: (0..6).map(|k| [(k * k) as f32, 0.0, 0.0]).collect(),
         };
-        let rollout = repertoire.arranged(0, vec![episode]);
+        let rollout = repertoire.arranged(0, [0.0; 3], vec![episode]);
         Lesson::new(&repertoire, &rollout, windows, lead, &FlexDevice)
     }
 
