@@ -106,7 +106,7 @@ pub enum AudioError {
         hz: u32,
     },
     /// The decoder failed in a way that it should not; only this upload is affected.
-    #[error("the audio made the decoder fail ({message}) and cannot be used")]
+    #[error("the audio made the decoder fail and cannot be used")]
     DecoderPanic {
         /// What the decoder said.
         message: String,

@@ -29,6 +29,8 @@ use crate::{
 pub const DEFAULT_BATCH: NonZeroUsize = NonZeroUsize::MIN.saturating_add(15);
 /// Most pose codes in a tail, so that it fits into the value of an option.
 const LONGEST_TAIL: usize = 43;
+/// Largest vocabulary whose codes a tail can hold.
+const MOST_TAIL_CODES: usize = 1 << 16;
 /// How often a pair is repeated to be looked at, and how many of these are shown: those in the middle, far
 /// from the zero padding at the ends.
 const REPEATS: (usize, usize) = (12, 4);
@@ -87,7 +89,7 @@ pub struct Ending {
     /// The pose codes.
     pub codes: Codes,
     /// Where another dance can go on.
-    pub tail: Tail,
+    pub tail: Option<Tail>,
     /// Wall time per stage.
     pub timings: Timings,
 }
@@ -198,8 +200,11 @@ impl Choreographer {
         let outcome = self.dance(job, &mut timings)?;
         let finished = spent(&mut timings.motion, "motion", || {
             let options = self.finish_options(options);
-            motion::finish(outcome.motion.view(), &self.manifest().skeleton, &options)
-        })?;
+            let skeleton = &self.manifest().skeleton;
+            let goes_on = || !cancel.is_cancelled();
+            motion::finish_while(outcome.motion.view(), skeleton, &options, goes_on)
+        })?
+        .ok_or(EngineError::Cancelled)?;
         let tail = self.tail(&outcome, options);
         Ok(Dance {
             model: self.manifest().name.clone(),
@@ -212,7 +217,7 @@ impl Choreographer {
             music: song.music,
             timings,
             warnings: song.warnings,
-            tail: Some(tail),
+            tail,
         })
     }
 
@@ -430,7 +435,11 @@ impl Choreographer {
     }
 
     /// The end of a dance, and of the one that it goes on from where it is short itself.
-    fn tail(&self, outcome: &Outcome, options: &GenerationOptions) -> Tail {
+    fn tail(&self, outcome: &Outcome, options: &GenerationOptions) -> Option<Tail> {
+        let vocabulary = self.manifest().vocabulary;
+        if vocabulary.upper.max(vocabulary.lower) > MOST_TAIL_CODES {
+            return None;
+        }
         let count = (self.manifest().decoder.receptive_codes + 1).min(LONGEST_TAIL);
         let before = options.continue_from.as_ref().map(|tail| &tail.codes);
         let half = |of: fn(&Codes) -> &Vec<u32>| -> Vec<u32> {
@@ -446,7 +455,8 @@ impl Choreographer {
         let [x, z] = start_of(options);
         let [walked_x, walked_z] = outcome.walked;
         let place = [x + walked_x, z + walked_z];
-        Tail::new(self.model_sha256(), codes, place, outcome.facing)
+        let facing = outcome.facing;
+        Some(Tail::new(self.model_sha256(), codes, place, facing))
     }
 }
 

@@ -172,7 +172,8 @@ impl Chain {
 
     /// Tempo and beats of an onset envelope.
     pub(super) fn beats(&mut self, onset: &[f32]) -> Beats {
-        match self.tempo.estimate(onset) {
+        let cancel = &self.cancel;
+        match self.tempo.estimate(onset, || !cancel.is_cancelled()) {
             None => Beats::default(),
             Some(tempo) => Beats {
                 tempo_bpm: tempo.bpm,

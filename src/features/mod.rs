@@ -243,11 +243,14 @@ impl FeatureExtractor {
         let percussive = self.chain.percussive(pcm);
         finished(cancel)?;
         let onset = self.chain.onset(&percussive);
-        Ok(self.chain.beats(&onset))
+        let beats = self.chain.beats(&onset);
+        finished(cancel)?;
+        Ok(beats)
     }
 
     /// Tempo and beats of a given onset envelope (column 52), `[T]`.
     pub fn beats_of_onset(&mut self, onset: &[f32]) -> Beats {
+        self.chain.cancel = CancelToken::new();
         self.chain.beats(onset)
     }
 
@@ -271,6 +274,7 @@ impl FeatureExtractor {
     /// As [`FeatureExtractor::extract`].
     pub fn cqt(&mut self, signal: &[f32], tuning: f64) -> Result<Array2<f32>, FeatureError> {
         check(signal)?;
+        self.chain.cancel = CancelToken::new();
         Ok(self.chain.cqt(signal, tuning.clamp(-0.5, 0.5)))
     }
 

@@ -95,7 +95,9 @@ pub struct DoneJson<'a> {
     frames: usize,
     codes: CodesJson<'a>,
     /// The option `continue_from` of a dance that is to go on from the end of this one.
-    tail: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    tail: Option<String>,
     timings_ms: TimingsJson,
 }
 
@@ -152,14 +154,14 @@ pub fn frames_event(
 pub fn done_event(
     frames: usize,
     codes: &Codes,
-    tail: &Tail,
+    tail: Option<&Tail>,
     timings: Timings,
 ) -> Result<Vec<u8>, FormatError> {
     Ok(serde_json::to_vec(&DoneJson {
         event: "done",
         frames,
         codes: codes.into(),
-        tail: tail.to_text(),
+        tail: tail.map(Tail::to_text),
         timings_ms: timings.into(),
     })?)
 }

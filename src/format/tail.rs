@@ -1,5 +1,7 @@
 //! Where a dance ends, so that another one goes on from there.
 
+use std::f32::consts::TAU;
+
 use base64::{Engine, engine::general_purpose::URL_SAFE_NO_PAD};
 
 use super::{Codes, FormatError};
@@ -10,6 +12,10 @@ const VERSION: u8 = 1;
 const HEAD: usize = 1 + MODEL + 3 * 4;
 /// Bytes of the model's SHA-256 that a tail carries: enough to tell models apart by mistake.
 const MODEL: usize = 4;
+
+/// Largest distance of a place from the start, metres: no dance gets there, and single precision still tells
+/// millimetres.
+const FURTHEST: f32 = 10_000.0;
 
 /// The end of a dance: what the next one must know to go on from it (`continue_from`).
 #[derive(Clone, Debug, PartialEq)]
@@ -52,8 +58,7 @@ impl Tail {
         }
         for (&upper, &lower) in self.codes.upper.iter().zip(&self.codes.lower) {
             for code in [upper, lower] {
-                // Vocabularies of the field have hundreds of codes. A larger code is not written, and what
-                // goes on from it starts from the last one there is.
+                // A dance with larger codes has no tail.
                 bytes.extend(u16::try_from(code).unwrap_or(u16::MAX).to_le_bytes());
             }
         }
@@ -68,8 +73,11 @@ impl Tail {
         let (model, numbers) = head.split_first_chunk::<MODEL>()?;
         let (numbers, _) = numbers.as_chunks::<4>();
         let mut numbers = numbers.iter().map(|bytes| f32::from_le_bytes(*bytes));
-        let mut number = || numbers.next().filter(|number| number.is_finite());
-        let (facing, x, z) = (number()?, number()?, number()?);
+        let mut within = |most: f32| {
+            let number = numbers.next();
+            number.filter(|number| (-most..=most).contains(number))
+        };
+        let (facing, x, z) = (within(TAU)?, within(FURTHEST)?, within(FURTHEST)?);
         let (pairs, rest) = codes.as_chunks::<4>();
         if version != VERSION || pairs.is_empty() || !rest.is_empty() {
             return None;
@@ -141,7 +149,17 @@ mod tests {
             place: [f32::NAN, 0.0],
             ..tail(1)
         };
-        for text in ["", "x", "AAAA", short, &none, "%%%%", &far.to_text()] {
+        let turned = Tail {
+            facing: 100.0,
+            ..tail(1)
+        };
+        let gone = Tail {
+            place: [0.0, 1e30],
+            ..tail(1)
+        };
+        let odd = [far, turned, gone].map(|tail| tail.to_text());
+        let texts = ["", "x", "AAAA", short, &none, "%%%%"];
+        for text in texts.into_iter().chain(odd.iter().map(String::as_str)) {
             assert!(text.parse::<Tail>().is_err(), "{text}");
         }
     }

@@ -1,8 +1,11 @@
 //! From the decoder's output to a finished motion: root, floor, rotations, frame rate.
 
-use ndarray::ArrayView2;
+use ndarray::{ArrayView2, Axis};
 
 use super::{Animation, Finisher, MotionError, Positions, Skeleton};
+
+/// Frames between two questions whether to go on.
+const PIECE: usize = 1024;
 
 /// What a motion is finished to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,4 +68,24 @@ pub fn finish(
     let mut finisher = Finisher::whole(skeleton, options)?;
     finisher.push(decoded)?;
     finisher.end()
+}
+
+/// [`finish`] that asks now and then whether to go on; none if not.
+///
+/// # Errors
+/// As [`finish`].
+pub fn finish_while(
+    decoded: ArrayView2<'_, f32>,
+    skeleton: &Skeleton,
+    options: &FinishOptions,
+    goes_on: impl Fn() -> bool,
+) -> Result<Option<Finished>, MotionError> {
+    let mut finisher = Finisher::whole(skeleton, options)?;
+    for piece in decoded.axis_chunks_iter(Axis(0), PIECE) {
+        if !goes_on() {
+            return Ok(None);
+        }
+        finisher.push(piece)?;
+    }
+    finisher.end().map(Some)
 }

@@ -41,7 +41,7 @@ struct Lane<T> {
 
 impl Finisher {
     /// For pieces as they come: the floor of a frame is settled 2.5 s behind what is known, so that a
-    /// dance in pieces differs from the same as a whole by millimetres of height.
+    /// dance in pieces differs from the same as a whole by a centimetre or two of height at most.
     ///
     /// # Errors
     /// As [`super::finish`].
@@ -122,13 +122,6 @@ impl Finisher {
             lane.stand(&lifts, self.options.root_motion);
         }
         self.leave()
-    }
-
-    /// Where the root is behind the last frame, x and z in metres.
-    #[must_use]
-    pub fn place(&self) -> [f32; 2] {
-        let [x, _, z] = self.root;
-        [x, z]
     }
 
     /// Stands the skeleton on the floor by its own feet. They are where the decoder's are, but for legs that

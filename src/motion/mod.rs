@@ -27,7 +27,7 @@ mod two_bones;
 pub use beats::{beat_meeting, beat_nearness, dance_beats, joint_speed, slow_share, smoothed};
 pub use error::MotionError;
 pub use facing::{facing_columns, facings, to_dancer_frame, to_world_frame};
-pub use finish::{FinishOptions, Finished, PositionsSource, finish};
+pub use finish::{FinishOptions, Finished, PositionsSource, finish, finish_while};
 pub use finisher::Finisher;
 pub use floor::{STANDING_HEIGHT, floor_correction, lower_foot_heights};
 pub use forward::forward;

@@ -15,6 +15,7 @@ use axum::{
 use governor::{Quota, RateLimiter, clock::Clock, state::keyed::HashMapStateStore};
 
 use super::{
+    body::IncomingBody,
     config::{ApiKey, Limits, Seconds},
     error::ServerError,
     state::SharedState,
@@ -95,18 +96,43 @@ pub(crate) async fn admit(
     mut request: Request,
     next: Next,
 ) -> Result<Response, ServerError> {
-    let client = identify(&state.access.keys, &request)?;
-    if let Some(rates) = &state.rates {
-        rates.check(client)?;
+    match let_in(&state, &request) {
+        Ok(client) => {
+            request.extensions_mut().insert(client);
+            Ok(next.run(request).await)
+        }
+        Err(refused) => {
+            // Read to its end, so that its sender gets to see why.
+            drop(IncomingBody::new(request.into_body()));
+            Err(refused)
+        }
     }
-    request.extensions_mut().insert(client);
-    Ok(next.run(request).await)
+}
+
+/// Who knows no key has a bucket too: guessing is no faster than asking.
+fn let_in(state: &SharedState, request: &Request) -> Result<Client, ServerError> {
+    let client = identify(&state.access.keys, request);
+    if let Some(rates) = &state.rates {
+        rates.check(*client.as_ref().unwrap_or(&address(request)))?;
+    }
+    client
+}
+
+/// The peer's address; of IPv6 the network, as one host has all of it.
+fn address(request: &Request) -> Client {
+    match request.extensions().get::<Peer>().map(|peer| peer.0.ip()) {
+        None => Client::Unknown,
+        Some(IpAddr::V6(address)) => {
+            let network = address.to_bits() >> 64 << 64;
+            Client::Address(IpAddr::V6(network.into()))
+        }
+        Some(address) => Client::Address(address),
+    }
 }
 
 fn identify(keys: &[ApiKey], request: &Request) -> Result<Client, ServerError> {
     if keys.is_empty() {
-        let peer = request.extensions().get::<Peer>();
-        return Ok(peer.map_or(Client::Unknown, |peer| Client::Address(peer.0.ip())));
+        return Ok(address(request));
     }
     let sent = sent_key(request.headers()).ok_or(ServerError::KeyMissing)?;
     // All keys are looked at, so that the time tells nothing of which one it was.

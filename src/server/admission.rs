@@ -10,6 +10,7 @@ use std::{
 };
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tracing::Instrument;
 
 use super::{
     config::{Limits, Seconds},
@@ -77,6 +78,12 @@ impl Admission {
             .map_err(|closed| ServerError::Internal(closed.to_string()))?;
         drop(place);
         Ok(self.permit(slot, asked))
+    }
+
+    /// [`Self::admit`], in a span of its own.
+    pub(crate) async fn admit_traced(self: &Arc<Self>) -> Result<Permit, ServerError> {
+        let span = tracing::info_span!("stage", otel.name = "queue");
+        self.admit().instrument(span).await
     }
 
     /// Waits as [`Self::admit`] does, in a line that is bounded elsewhere.

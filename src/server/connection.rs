@@ -33,8 +33,8 @@ use super::{
 
 /// Between two questions whether the other end of an HTTP/2 connection is still there, and for its answer.
 const PING: Duration = Duration::from_secs(20);
-/// Largest head of an HTTP/2 request, as HTTP/1 allows by its buffer.
-const LARGEST_HEAD: u32 = 32 * 1024;
+/// Largest head of a request.
+const LARGEST_HEAD: u32 = 64 * 1024;
 /// Bytes from which a connection says whether it speaks HTTP/1 or 2: the preface of the latter.
 const PREFACE: usize = 24;
 /// Wait after a failed accept: the likely reason is that there are no file descriptors left.
@@ -60,8 +60,10 @@ pub(crate) async fn serve(
         let (stream, peer, place) = match accepted {
             Ok(accepted) => accepted,
             Err(error) => {
-                tracing::warn!(%error, "a connection was not accepted");
-                sleep(BREATH).await;
+                if error.kind() != io::ErrorKind::ConnectionAborted {
+                    tracing::warn!(%error, "a connection was not accepted");
+                    sleep(BREATH).await;
+                }
                 continue;
             }
         };
@@ -106,6 +108,7 @@ fn builder(limits: &Limits) -> auto::Builder<TokioExecutor> {
     builder
         .http1()
         .timer(TokioTimer::new())
+        .max_buf_size(LARGEST_HEAD as usize)
         .header_read_timeout(limits.header_read_timeout.0);
     builder
         .http2()

@@ -24,6 +24,7 @@ use tracing::Span;
 
 use super::{
     error::{Report, ServerError, write_body},
+    options::shorten,
     state::SharedState,
 };
 
@@ -86,7 +87,7 @@ fn request_span(request: &Request) -> Span {
     tracing::info_span!(
         "request",
         method = %request.method(),
-        path = request.uri().path(),
+        path = shorten(request.uri().path()),
         request_id = request_id(request),
     )
 }
@@ -113,7 +114,9 @@ async fn finish(State(state): State<SharedState>, request: Request, next: Next) 
     state
         .metrics
         .answered(&route, method, status, started.elapsed());
-    if let Some(report) = response.extensions().get::<Report>() {
+    if let Some(report) = response.extensions().get::<Report>()
+        && !report.repeated
+    {
         state.metrics.rejected(report.error_type);
     }
     if response.status().is_client_error() || response.status().is_server_error() {

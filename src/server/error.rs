@@ -35,10 +35,10 @@ pub(crate) struct ErrorEvent {
 }
 
 impl ErrorEvent {
-    pub(crate) fn new(error: &ServerError, request_id: &str) -> Self {
+    pub(crate) fn new(report: &Report, request_id: &str) -> Self {
         Self {
             event: "error",
-            body: error.report().body(request_id),
+            body: report.body(request_id),
         }
     }
 }
@@ -82,6 +82,11 @@ pub(crate) enum ServerError {
     TooManyUploads { most: usize, retry_after: Seconds },
     #[error("uploads take all of the {memory} that the server holds for them: try again in {} s", retry_after.retry_after())]
     UploadMemory {
+        memory: ByteSize,
+        retry_after: Seconds,
+    },
+    #[error("answers take all of the {memory} that the server holds for their readers: try again in {} s", retry_after.retry_after())]
+    AnswerMemory {
         memory: ByteSize,
         retry_after: Seconds,
     },
@@ -131,9 +136,18 @@ pub(crate) struct Report {
     pub(crate) message: String,
     pub(crate) error_type: &'static str,
     retry_after: Option<u64>,
+    /// Was counted before.
+    pub(crate) repeated: bool,
 }
 
 impl Report {
+    /// What was told before about the request of another id.
+    pub(crate) fn repeated(mut self, request_id: &str) -> Self {
+        self.message = format!("{} (of the request {request_id})", self.message);
+        self.repeated = true;
+        self
+    }
+
     /// The body of an answer, or of a part of one.
     pub(crate) fn body(&self, request_id: &str) -> ErrorBody {
         ErrorBody {
@@ -172,6 +186,7 @@ impl ServerError {
             Self::Loading { .. } => (StatusCode::SERVICE_UNAVAILABLE, "loading"),
             Self::ModelStopped => (StatusCode::SERVICE_UNAVAILABLE, "model_stopped"),
             Self::Timeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "timeout"),
+            Self::AnswerMemory { .. } => (StatusCode::SERVICE_UNAVAILABLE, "answer_memory"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
             Self::Dance(error) => classify_dance(error),
         }
@@ -182,6 +197,7 @@ impl ServerError {
             Self::QueueFull { retry_after, .. }
             | Self::TooManyUploads { retry_after, .. }
             | Self::UploadMemory { retry_after, .. }
+            | Self::AnswerMemory { retry_after, .. }
             | Self::RateLimited { retry_after, .. }
             | Self::TooManyJobs { retry_after, .. }
             | Self::Draining { retry_after }
@@ -256,7 +272,18 @@ impl ServerError {
             message,
             error_type,
             retry_after: self.retry_after().map(Seconds::retry_after),
+            repeated: false,
         }
+    }
+
+    /// The same, with another time for those who have to wait for others' uploads.
+    pub(crate) fn retried_in(mut self, time: Seconds) -> Self {
+        if let Self::TooManyUploads { retry_after, .. } | Self::UploadMemory { retry_after, .. } =
+            &mut self
+        {
+            *retry_after = time;
+        }
+        self
     }
 
     /// Whether the work itself did not end, so that it must be stopped.
@@ -302,6 +329,7 @@ pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response
         .unwrap_or_else(|| Report {
             status: parts.status,
             retry_after: None,
+            repeated: false,
             message: parts
                 .status
                 .canonical_reason()

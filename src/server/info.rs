@@ -25,7 +25,17 @@ pub(crate) struct Info {
     /// Audio that is accepted.
     #[schema(example = json!(["wav", "flac"]))]
     audio: Vec<&'static str>,
+    limits: Bounds,
+}
+
+/// Every limit, and what follows from them.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+struct Bounds {
+    #[serde(flatten)]
     limits: Limits,
+    /// Most memory that one request takes while it is worked on: the server as a whole stays below its idle
+    /// memory and so much for each of `max_concurrent_requests`, besides uploads and answers that wait.
+    memory_per_request_bytes: u64,
 }
 
 /// The loaded model.
@@ -101,7 +111,10 @@ impl Info {
                 content_type: format.content_type(),
             }),
             audio: Container::ALL.map(Container::name).to_vec(),
-            limits: limits.clone(),
+            limits: Bounds {
+                memory_per_request_bytes: limits.memory_per_request(),
+                limits: limits.clone(),
+            },
         }
     }
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use axum::http::{HeaderMap, request::Parts};
 use bytes::Bytes;
+use tracing::Instrument;
 
 use super::{
     body::IncomingBody,
@@ -68,17 +69,22 @@ pub(crate) async fn receive(
     let received = async {
         let mut place = state.uploads.begin()?;
         let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
-        let upload = upload::receive(parts, body, media, options, limits, &mut place).await?;
+        let upload = upload::receive(parts, body, media, options, limits, &mut place)
+            .instrument(tracing::info_span!("stage", otel.name = "upload"))
+            .await?;
+        if purpose == Purpose::Job {
+            state.uploads.keep_for_job(&mut place)?;
+        }
         let shape = shape(purpose, &upload.options, &accept)?;
         engine.check(&upload.options.generation(shape.format))?;
         watch.hold_upload(place);
-        Ok((upload, shape))
+        Ok::<_, ServerError>((upload, shape))
     };
     let (upload, shape) = match received.await {
         Ok(received) => received,
         Err(error) => {
             presence.answered();
-            return Err(error);
+            return Err(error.retried_in(state.admission.retry_after()));
         }
     };
     watch.enter(Phase::Queue);

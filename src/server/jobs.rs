@@ -193,7 +193,8 @@ impl MemoryStore {
 impl JobStore for MemoryStore {
     fn check_room(&self) -> Result<(), ServerError> {
         let jobs = self.jobs();
-        match jobs.len() < self.most {
+        let room = jobs.len() < self.most || jobs.values().any(|job| job.fetched.is_cancelled());
+        match room {
             true => Ok(()),
             false => Err(self.full(&jobs)),
         }
@@ -202,7 +203,13 @@ impl JobStore for MemoryStore {
     fn put(&self, job: Arc<Job>) -> Result<(), ServerError> {
         let mut jobs = self.jobs();
         if jobs.len() >= self.most {
-            return Err(self.full(&jobs));
+            // Who has its dance misses the job least.
+            let fetched = jobs.values().filter(|job| job.fetched.is_cancelled());
+            let oldest = fetched.max_by_key(|job| job.done_for()).map(|job| job.id);
+            let Some(oldest) = oldest else {
+                return Err(self.full(&jobs));
+            };
+            jobs.remove(&oldest);
         }
         jobs.insert(job.id, job);
         Ok(())
@@ -252,6 +259,19 @@ mod tests {
         std::thread::sleep(Duration::from_millis(40));
         assert!(store.get(first.id).is_none());
         store.put(job()).unwrap();
+    }
+
+    #[test]
+    fn who_has_its_dance_makes_room() {
+        let store = MemoryStore::new(1, Seconds::new(60));
+        let first = job();
+        store.put(Arc::clone(&first)).unwrap();
+        first.turn(failed());
+        assert!(store.put(job()).is_err());
+        first.fetched.cancel();
+        store.check_room().unwrap();
+        store.put(job()).unwrap();
+        assert!(store.get(first.id).is_none());
     }
 
     #[test]

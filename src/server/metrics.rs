@@ -113,7 +113,7 @@ impl Metrics {
             "batch_rows", "Dances that share a step of the model, candidates counted", batch_rows;
             "codes", "Pairs of pose codes generated", codes;
             "dances", "Dances made", dances;
-            "cancelled", "Requests whose client left or whose time was over, by phase", cancelled;
+            "cancelled", "Requests whose client left, whose time was over, or whose job was deleted, by phase", cancelled;
             "rejected", "Requests refused, by reason", rejected;
             "panics", "Panics caught, by place", panics;
             "connections", "Open connections", connections;
@@ -189,9 +189,12 @@ impl Metrics {
             ("decode", timings.decode),
             ("features", timings.features),
             ("inference", timings.inference),
-            ("motion", timings.motion),
         ] {
             self.stage(stage, time);
+        }
+        // A stream's is known at its end.
+        if kind != "stream" {
+            self.stage("motion", timings.motion);
         }
     }
 

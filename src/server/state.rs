@@ -3,6 +3,7 @@
 use std::{
     future::Future,
     sync::{Arc, OnceLock},
+    time::Duration,
 };
 
 use bytes::Bytes;
@@ -17,7 +18,7 @@ use super::{
     jobs::{JobStore, MemoryStore},
     lifecycle::Lifecycle,
     metrics::SharedMetrics,
-    room::Room,
+    room::{Room, Share},
     uploads::Uploads,
 };
 use crate::{
@@ -121,6 +122,9 @@ impl Generate for Choreographer {
     }
 }
 
+/// How long an answer waits for others to be taken.
+const WAIT_FOR_ROOM: Duration = Duration::from_secs(10);
+
 /// When to ask again while the model is loaded: it takes a few seconds.
 const LOADING_RETRY: Seconds = Seconds::new(2);
 
@@ -141,8 +145,10 @@ pub(crate) struct ServerState {
     /// Bytes of answers that may wait for their readers.
     pub(crate) answers: Room,
     pub(crate) jobs: Box<dyn JobStore>,
-    /// Places to work in that jobs may take.
+    /// Places to work in that jobs may take: half of all, at least one.
     pub(crate) job_slots: Semaphore,
+    /// Results of jobs that may be written at the same time.
+    pub(crate) writers: Semaphore,
     pub(crate) lifecycle: Lifecycle,
 }
 
@@ -164,7 +170,8 @@ impl ServerState {
             audio: Room::new(limits.audio_seconds_in_flight as u64, Some(audio_gauge)),
             answers: Room::new(limits.answer_memory.0, None),
             jobs: Box::new(MemoryStore::new(limits.max_jobs.get(), limits.job_ttl)),
-            job_slots: Semaphore::new(limits.max_concurrent_requests.get().div_ceil(2)),
+            job_slots: Semaphore::new((limits.max_concurrent_requests.get() / 2).max(1)),
+            writers: Semaphore::new(limits.max_concurrent_requests.get()),
             lifecycle: Lifecycle::default(),
             access,
             metrics,
@@ -200,6 +207,18 @@ impl ServerState {
             }
             () = self.lifecycle.aborted() => Err(self.draining()),
         }
+    }
+
+    /// Room for an answer, which is not waited for long: whoever waits keeps a place to work in.
+    pub(crate) async fn room(&self, bytes: usize) -> Result<Share, ServerError> {
+        let share = self.answers.share(bytes as u64);
+        let in_time = tokio::time::timeout(WAIT_FOR_ROOM, share).await;
+        in_time.unwrap_or_else(|_| {
+            Err(ServerError::AnswerMemory {
+                memory: self.limits.answer_memory,
+                retry_after: self.limits.answer_idle_timeout,
+            })
+        })
     }
 
     /// The answer to a request whose time is over.

@@ -55,16 +55,17 @@ pub fn init_telemetry(json: bool, collector: Option<&str>) -> Result<Telemetry, 
         .with_ansi(stderr().is_terminal())
         .with_writer(stderr);
     let log = match json {
-        true => log.json().boxed(),
-        false => log.boxed(),
+        true => log.json().with_filter(filter).boxed(),
+        false => log.with_filter(filter).boxed(),
     };
     let provider = collector.map(provider).transpose()?;
     let traces = provider.as_ref().map(|provider| {
-        tracing_opentelemetry::layer().with_tracer(provider.tracer(env!("CARGO_PKG_NAME")))
+        tracing_opentelemetry::layer()
+            .with_tracer(provider.tracer(env!("CARGO_PKG_NAME")))
+            .with_filter(EnvFilter::new(DEFAULT_FILTER))
     });
     // Fails only when there is a log already.
     let _ = tracing_subscriber::registry()
-        .with(filter)
         .with(traces)
         .with(log)
         .try_init();

@@ -19,6 +19,8 @@ const RETRY: Seconds = Seconds::new(2);
 pub(crate) struct Uploads {
     places: Arc<Semaphore>,
     bytes: Arc<Semaphore>,
+    /// Bytes that jobs may hold while they wait: half of all, so that there is room for who cannot wait.
+    of_jobs: Arc<Semaphore>,
     most: usize,
     memory: ByteSize,
     metrics: SharedMetrics,
@@ -30,6 +32,7 @@ impl Uploads {
         Self {
             places: Arc::new(Semaphore::new(limits.max_uploads.get())),
             bytes: Arc::new(Semaphore::new(memory.min(Semaphore::MAX_PERMITS))),
+            of_jobs: Arc::new(Semaphore::new((memory / 2).min(Semaphore::MAX_PERMITS))),
             most: limits.max_uploads.get(),
             memory: limits.upload_memory,
             metrics,
@@ -52,10 +55,31 @@ impl Uploads {
             )),
             bytes: Arc::clone(&self.bytes),
             held: None,
+            of_job: None,
             counted: 0,
             gauge: self.metrics.upload_bytes.clone(),
             memory: self.memory,
         })
+    }
+}
+
+impl Uploads {
+    /// Counts what `permit` holds among the uploads of jobs too.
+    ///
+    /// # Errors
+    /// [`ServerError::UploadMemory`] where jobs hold too much already.
+    pub(crate) fn keep_for_job(&self, permit: &mut UploadPermit) -> Result<(), ServerError> {
+        // One upload may be larger than that half.
+        let half = usize::try_from(self.memory.0 / 2).unwrap_or(usize::MAX);
+        let held = usize::try_from(permit.counted).unwrap_or(0).min(half);
+        let kept = u32::try_from(held)
+            .ok()
+            .and_then(|held| Arc::clone(&self.of_jobs).try_acquire_many_owned(held).ok());
+        permit.of_job = Some(kept.ok_or(ServerError::UploadMemory {
+            memory: self.memory,
+            retry_after: RETRY,
+        })?);
+        Ok(())
     }
 }
 
@@ -65,6 +89,7 @@ pub(crate) struct UploadPermit {
     place: Option<(OwnedSemaphorePermit, Counted)>,
     bytes: Arc<Semaphore>,
     held: Option<OwnedSemaphorePermit>,
+    of_job: Option<OwnedSemaphorePermit>,
     counted: i64,
     gauge: Gauge,
     memory: ByteSize,
@@ -137,7 +162,14 @@ mod tests {
             (metrics.uploads.get(), metrics.upload_bytes.get()),
             (1, 100)
         );
+        // Of which jobs may hold half.
+        assert!(uploads.keep_for_job(&mut first).is_ok());
+        assert!(matches!(
+            uploads.keep_for_job(&mut second),
+            Err(ServerError::UploadMemory { .. })
+        ));
         drop(first);
+        assert!(uploads.keep_for_job(&mut second).is_ok());
         second.hold(60).unwrap();
         drop(second);
         assert_eq!((metrics.uploads.get(), metrics.upload_bytes.get()), (0, 0));

@@ -65,6 +65,12 @@ fn settings_never_show_a_key() {
     };
     assert!(!format!("{config:?}").contains(KEY));
     assert!(!format!("{:?}", config.access().unwrap()).contains(KEY));
+    // A variable that is set to nothing must not open the server.
+    let empty = ServerConfig {
+        api_key: vec!["".parse().unwrap()],
+        ..ServerConfig::default()
+    };
+    assert!(empty.access().is_err());
 }
 
 #[tokio::test]
@@ -108,6 +114,7 @@ async fn pages_of_allowed_origins_may_call() {
         .uri("/generate")
         .header("origin", "https://dance.example")
         .header("access-control-request-method", "POST")
+        .header("access-control-request-headers", "authorization")
         .body(Body::empty())
         .unwrap();
     let answer = send(&app, preflight).await;
@@ -116,6 +123,10 @@ async fn pages_of_allowed_origins_may_call() {
         answer
             .header("access-control-allow-methods")
             .contains("POST")
+    );
+    assert_eq!(
+        answer.header("access-control-allow-headers"),
+        "authorization"
     );
 }
 

@@ -1,7 +1,7 @@
 //! Connections: slow ones, silent ones, too many, and HTTP/2.
 
 use std::{
-    io::{Read, Write},
+    io::{ErrorKind, Read, Write},
     net::TcpStream,
     num::NonZeroUsize,
     time::{Duration, Instant},
@@ -101,13 +101,29 @@ async fn who_takes_nothing_of_its_answer_is_dropped() {
     let request = b"GET /api-doc/openapi.json HTTP/1.1\r\nHost: x\r\n\r\n";
     let started = Instant::now();
     let dropped = tokio::task::block_in_place(|| {
-        while started.elapsed() < LONG {
-            if stream.write_all(request).is_err() {
-                return true;
+        loop {
+            if let Err(error) = stream.write_all(request) {
+                return error.kind();
             }
         }
-        false
     });
-    assert!(dropped);
+    // Closed by the server, and not a write that waited for ever.
+    let closed = [ErrorKind::ConnectionReset, ErrorKind::BrokenPipe];
+    assert!(closed.contains(&dropped), "{dropped:?}");
+    assert!(started.elapsed() < LONG / 2);
     server.expect(post(b"song"), 200).await;
+}
+
+/// RELIABILITY: a refusal reaches who is still sending.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_refusal_reaches_a_client_that_is_still_sending() {
+    let limits = Limits {
+        rate_limit: std::num::NonZeroU32::new(1),
+        rate_burst: std::num::NonZeroU32::MIN,
+        ..Limits::default()
+    };
+    let server = Server::start(&Fake::new(), limits).await;
+    server.expect(post(b"song"), 200).await;
+    let refused = server.expect(post(&vec![b'x'; 20_000_000]), 429).await;
+    assert!(refused.contains("rate_limited"), "{refused}");
 }

@@ -199,7 +199,12 @@ impl Generate for Fake {
         }
         self.heard.lock().unwrap().push(audio);
         Ok(Ending {
-            tail: Tail::new(self.model_sha256(), dance.codes.clone(), [0.0; 2], 0.0),
+            tail: Some(Tail::new(
+                self.model_sha256(),
+                dance.codes.clone(),
+                [0.0; 2],
+                0.0,
+            )),
             codes: dance.codes,
             timings: dance.timings,
         })

@@ -154,7 +154,12 @@ async fn a_server_that_stops_ends_its_jobs_and_waits_for_who_asks() {
         .to_owned();
     fake.wait_started(1).await;
     server.stop();
-    while server.expect(get_bytes("/health"), 200).await.is_empty() {}
+    while !server
+        .exchange(get_bytes("/ready"))
+        .await
+        .unwrap()
+        .starts_with("HTTP/1.1 503")
+    {}
     server.expect(post_to("/jobs", b"song"), 503).await;
     fake.release();
     let result = loop {

@@ -49,6 +49,9 @@ pub enum KeysError {
         /// What the operating system says.
         source: io::Error,
     },
+    /// A key was meant to be set, and is not.
+    #[error("--api-key (BAILANDO_API_KEY) is empty: give a key, or leave it out")]
+    Empty,
     /// A server that was meant to ask for a key must not start without.
     #[error("{path} holds no API key, or is larger than {LONGEST_FILE} bytes: write one a line")]
     None {

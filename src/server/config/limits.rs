@@ -11,6 +11,9 @@ use utoipa::ToSchema;
 use super::{ByteSize, Seconds};
 use crate::{audio::AudioLimits, engine::DEFAULT_BATCH};
 
+/// Memory that a second of audio takes, all stages together; measured (`tests/load/uploads.py`).
+const BYTES_PER_SECOND: f64 = 700_000.0;
+
 /// Every limit of the service, as `GET /info` reports it.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema, clap::Args)]
 pub struct Limits {
@@ -246,7 +249,7 @@ impl Default for Limits {
             upload_memory: ByteSize(400_000_000),
             answer_memory: ByteSize(400_000_000),
             audio_seconds_in_flight: 2400.0,
-            max_jobs: NonZeroUsize::MIN.saturating_add(31),
+            max_jobs: NonZeroUsize::MIN.saturating_add(15),
             job_ttl: Seconds::new(600),
             rate_limit: None,
             rate_burst: NonZeroU32::MIN.saturating_add(9),
@@ -335,6 +338,14 @@ impl Limits {
             return Err(LimitsError::AudioInFlight { in_flight, longest });
         }
         Ok(())
+    }
+
+    /// Most bytes that one request takes while it is worked on: its upload, and for every second of audio the
+    /// signals, features, motion and answer.
+    #[must_use]
+    pub fn memory_per_request(&self) -> u64 {
+        let upload = self.payload_limit.max(self.payload_limit_lossless).0;
+        upload.saturating_add((self.max_audio_seconds * BYTES_PER_SECOND) as u64)
     }
 
     /// The part of the limits that the decoder enforces.

@@ -87,6 +87,10 @@ impl ServerConfig {
     pub fn access(&self) -> Result<Access, KeysError> {
         let given = self.api_key.iter().filter(|key| !key.is_empty());
         let mut keys: Vec<ApiKey> = given.cloned().collect();
+        // A variable that was meant to hold a key must not open the server.
+        if keys.is_empty() && !self.api_key.is_empty() {
+            return Err(KeysError::Empty);
+        }
         if let Some(path) = &self.api_key_file {
             keys.extend(keys::read(path)?);
         }

@@ -88,7 +88,7 @@ pub(crate) async fn generate(
     let body = IncomingBody::new(body);
     let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
     let rendered = state.in_time(render(&state, parts, body)).await?;
-    Ok(rendered.respond(under_way))
+    Ok(rendered.respond(&state, under_way, || {}))
 }
 
 async fn render(
@@ -98,7 +98,7 @@ async fn render(
 ) -> Result<Rendered, ServerError> {
     let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
     let made = async {
-        let permit = state.admission.admit().await?;
+        let permit = state.admission.admit_traced().await?;
         let waited = permit.waited;
         order.hold_audio(state).await?;
         let danced = work::dance(&state.metrics, order.work(), permit, "generate");
@@ -114,7 +114,7 @@ async fn render(
         )
         .await?;
         // Whoever reads slowly holds memory: the place to work in is free only once there is some.
-        let room = state.answers.share(body.len() as u64).await?;
+        let room = state.room(body.len()).await?;
         permit.danced();
         Ok(Rendered::new(&dance, body, format, waited, room))
     }
@@ -156,7 +156,13 @@ impl Rendered {
     }
 
     /// The answer; `under_way` counts it as a request until it has been sent.
-    pub(crate) fn respond(self, under_way: impl Send + 'static) -> Response {
+    /// `taken` is called when its last part is.
+    pub(crate) fn respond(
+        self,
+        state: &SharedState,
+        under_way: impl Send + Sync + 'static,
+        taken: impl FnOnce() + Send + 'static,
+    ) -> Response {
         let mut headers = HeaderMap::new();
         headers.insert(
             header::CONTENT_TYPE,
@@ -175,7 +181,8 @@ impl Rendered {
                 headers.insert(header::CONTENT_DISPOSITION, name);
             }
         }
-        let body = outgoing::guarded(self.body, (under_way, self.room));
+        let patience = state.limits.answer_idle_timeout.0;
+        let body = outgoing::whole(self.body, (under_way, self.room), patience, taken);
         (headers, body).into_response()
     }
 }

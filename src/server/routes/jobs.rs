@@ -4,12 +4,12 @@ use std::{sync::Arc, time::Duration};
 
 use axum::{
     Json,
-    extract::{Extension, Path, Request, State},
+    extract::{Extension, Path, Request, State, rejection::PathRejection},
     http::{HeaderValue, StatusCode, Uri, header},
     response::{IntoResponse, Response},
 };
 use serde::Serialize;
-use tokio::time::Instant;
+use tokio::{sync::AcquireError, time::Instant};
 use tokio_util::task::task_tracker::TaskTrackerToken;
 use tracing::Instrument;
 use utoipa::ToSchema;
@@ -87,7 +87,7 @@ impl JobStatus {
 /// Orders a dance that is fetched later.
 ///
 /// The same input as `POST /generate`. The answer comes as soon as the song is here; jobs run beside other
-/// requests, on at most half of the places to work in.
+/// requests, on half of the places to work in (at least one).
 #[utoipa::path(
     post,
     path = "/jobs",
@@ -166,9 +166,10 @@ pub(crate) async fn create(
 /// A job's life, until nobody needs it any more.
 async fn live(state: SharedState, mut order: Order, job: Arc<Job>, under_way: TaskTrackerToken) {
     let done = tokio::select! {
+        biased;
+        () = job.deleted.cancelled() => return,
         done = run(&state, &mut order, &job) => done,
         () = state.lifecycle.aborted() => Err(state.draining()),
-        () = job.deleted.cancelled() => return,
     };
     let Order {
         options,
@@ -186,7 +187,9 @@ async fn live(state: SharedState, mut order: Order, job: Arc<Job>, under_way: Ta
             if error.stops_work() {
                 job.watch.cancel.cancel();
             }
-            JobState::Failed(error.report())
+            let report = error.report();
+            state.metrics.rejected(report.error_type);
+            JobState::Failed(report.repeated(&job.request_id))
         }
     });
     presence.answered();
@@ -194,7 +197,9 @@ async fn live(state: SharedState, mut order: Order, job: Arc<Job>, under_way: Ta
     // nobody asks for it any more.
     let wait = async {
         state.lifecycle.draining().await;
-        let until = Instant::now() + AWAITED_AT_MOST;
+        // Within the time that there is: nothing is lost by then.
+        let most = AWAITED_AT_MOST.min(state.limits.shutdown_timeout.0 / 2);
+        let until = Instant::now() + most;
         while job.is_awaited(AWAITED) && Instant::now() < until {
             tokio::time::sleep(LOOK_AGAIN).await;
         }
@@ -203,9 +208,21 @@ async fn live(state: SharedState, mut order: Order, job: Arc<Job>, under_way: Ta
         () = wait => {}
         () = job.fetched.cancelled() => {}
         () = job.deleted.cancelled() => {}
-        () = tokio::time::sleep(state.limits.job_ttl.0) => {}
+        () = tokio::time::sleep(state.limits.job_ttl.0) => {
+            state.jobs.remove(job.id);
+        }
     }
     drop(under_way);
+    // Fetched ones are kept for their time too, in case that somebody asks again.
+    if job.fetched.is_cancelled() {
+        tokio::select! {
+            () = job.deleted.cancelled() => {}
+            () = state.lifecycle.draining() => {}
+            () = tokio::time::sleep(state.limits.job_ttl.0) => {
+                state.jobs.remove(job.id);
+            }
+        }
+    }
 }
 
 async fn run(
@@ -213,7 +230,7 @@ async fn run(
     order: &mut Order,
     job: &Job,
 ) -> Result<crate::format::Dance, ServerError> {
-    let closed = |closed: tokio::sync::AcquireError| ServerError::Internal(closed.to_string());
+    let closed = |closed: AcquireError| ServerError::Internal(closed.to_string());
     let _slot = state.job_slots.acquire().await.map_err(closed)?;
     let permit = state.admission.admit_patient().await?;
     order.hold_audio(state).await?;
@@ -245,9 +262,9 @@ async fn run(
 pub(crate) async fn status(
     State(state): State<SharedState>,
     Extension(client): Extension<Client>,
-    Path(id): Path<String>,
+    id: Result<Path<String>, PathRejection>,
 ) -> Result<Json<JobStatus>, ServerError> {
-    Ok(Json(JobStatus::of(&*find(&state, client, &id)?)))
+    Ok(Json(JobStatus::of(&*find(&state, client, id)?)))
 }
 
 /// Gives a job's dance, in any format.
@@ -300,10 +317,10 @@ pub(crate) async fn status(
 pub(crate) async fn result(
     State(state): State<SharedState>,
     Extension(client): Extension<Client>,
-    Path(id): Path<String>,
+    id: Result<Path<String>, PathRejection>,
     uri: Uri,
 ) -> Result<Response, ServerError> {
-    let job = find(&state, client, &id)?;
+    let job = find(&state, client, id)?;
     let asked = RequestOptions::from_query(&uri)?;
     let finished = match job.ask() {
         JobState::Done(finished) => finished,
@@ -319,10 +336,12 @@ pub(crate) async fn result(
     let format = asked.format.unwrap_or(finished.format);
     let under_way = state.lifecycle.go_on();
     let rendered = state.in_time(async {
+        let closed = |closed: AcquireError| ServerError::Internal(closed.to_string());
+        let _writer = state.writers.acquire().await.map_err(closed)?;
         let watch = Watch::new(Arc::clone(&state.metrics));
         let dance = Arc::clone(&finished.dance);
         let body = work::write(&state.metrics, &watch, dance, options, format).await?;
-        let room = state.answers.share(body.len() as u64).await?;
+        let room = state.room(body.len()).await?;
         Ok(Rendered::new(
             &finished.dance,
             body,
@@ -332,16 +351,7 @@ pub(crate) async fn result(
         ))
     });
     let rendered = rendered.await?;
-    Ok(rendered.respond((FetchedOnDrop(job), under_way)))
-}
-
-/// The result counts as fetched once it has been sent.
-struct FetchedOnDrop(Arc<Job>);
-
-impl Drop for FetchedOnDrop {
-    fn drop(&mut self) {
-        self.0.fetched.cancel();
-    }
+    Ok(rendered.respond(&state, under_way, move || job.fetched.cancel()))
 }
 
 fn failed(job: &Job, report: Report) -> Response {
@@ -371,17 +381,24 @@ fn failed(job: &Job, report: Report) -> Response {
 pub(crate) async fn delete(
     State(state): State<SharedState>,
     Extension(client): Extension<Client>,
-    Path(id): Path<String>,
+    id: Result<Path<String>, PathRejection>,
 ) -> Result<StatusCode, ServerError> {
-    let job = find(&state, client, &id)?;
+    let job = find(&state, client, id)?;
     state.jobs.remove(job.id);
     Ok(StatusCode::NO_CONTENT)
 }
 
 /// A job of this client: one that was ordered with a key is found with that key only.
-fn find(state: &SharedState, client: Client, id: &str) -> Result<Arc<Job>, ServerError> {
-    let none = || ServerError::NoJob { id: shorten(id) };
-    let job = Uuid::try_parse(id)
+fn find(
+    state: &SharedState,
+    client: Client,
+    id: Result<Path<String>, PathRejection>,
+) -> Result<Arc<Job>, ServerError> {
+    let Path(id) = id.map_err(|_| ServerError::NoJob {
+        id: "of this name".to_owned(),
+    })?;
+    let none = || ServerError::NoJob { id: shorten(&id) };
+    let job = Uuid::try_parse(&id)
         .ok()
         .and_then(|id| state.jobs.get(id))
         .ok_or_else(none)?;

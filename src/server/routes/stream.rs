@@ -1,9 +1,8 @@
 //! `POST /generate/stream`: a dance while it is made.
 
-use std::{convert::Infallible, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
 use axum::{
-    body::Body,
     extract::{Request, State},
     http::{HeaderMap, HeaderValue, header},
     response::{IntoResponse, Response},
@@ -16,7 +15,7 @@ use tokio::{sync::mpsc, time::Instant};
 use crate::{
     engine::{Ending, Listener, Opening, Progress, Stage},
     format::{FormatError, JsonOptions, Start, done_event, frames_event, start_event},
-    motion::{Finished, Finisher},
+    motion::{Finished, Finisher, MotionError},
     server::{
         body::IncomingBody,
         envelope::request_id,
@@ -24,6 +23,7 @@ use crate::{
         intake::{self, Order, Purpose},
         negotiate::{EVENTS, LINES},
         options::{AudioFile, GenerateForm, RequestOptions},
+        outgoing,
         room::Share,
         routes::generate::{SEED, times},
         state::SharedState,
@@ -43,7 +43,7 @@ const FRAMES_PER_SECOND: u64 = 60;
 /// begins; then come one `start` event, `frames` events with the dance's frames in order, and one `done`
 /// event, or an `error` event if something goes wrong meanwhile. Server-sent events by default; with
 /// `Accept: application/x-ndjson` the same objects as lines. Frames are those of `POST /generate` with the
-/// same seed, but for millimetres of height: what the floor is, is told from 2.5 s ahead.
+/// same seed, but for a centimetre or two of height: where the floor is, is told from 2.5 s ahead.
 #[utoipa::path(
     post,
     path = "/generate/stream",
@@ -103,7 +103,7 @@ pub(crate) async fn stream(
     let (parts, body) = request.into_parts();
     let body = IncomingBody::new(body);
     let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
-    let opened = state.in_time(open(&state, parts, body)).await?;
+    let opened = state.in_time(open(&state, parts, body, until)).await?;
     let Opened {
         order,
         opening,
@@ -127,13 +127,14 @@ pub(crate) async fn stream(
         lines: order.shape.lines,
     };
     let start = start_event(&begin(&opening, timings), &json).map_err(of_format)?;
+    let patience = state.limits.answer_idle_timeout.0;
     let sender = Sender {
         writer,
         json,
         state,
         request_id,
-        until,
         waited,
+        motion: Duration::ZERO,
         events,
         finisher: Some(opening.finisher),
         sent: 0,
@@ -144,12 +145,12 @@ pub(crate) async fn stream(
     let body = stream::unfold(Some((first, sender)), |next| async move {
         let (first, mut sender) = next?;
         if let Some(first) = first {
-            return Some((Ok::<_, Infallible>(first), Some((None, sender))));
+            return Some((first, Some((None, sender))));
         }
         let (event, goes_on) = sender.next().await;
-        Some((Ok(event), goes_on.then_some((None, sender))))
+        Some((event, goes_on.then_some((None, sender))))
     });
-    Ok((headers, Body::from_stream(body)).into_response())
+    Ok((headers, outgoing::attended(body, patience)).into_response())
 }
 
 /// A dance that has begun.
@@ -172,27 +173,34 @@ async fn open(
     state: &SharedState,
     parts: axum::http::request::Parts,
     body: IncomingBody,
+    until: Instant,
 ) -> Result<Opened, ServerError> {
     let mut order = intake::receive(state, Purpose::Stream, parts, body).await?;
     let opened = async {
-        let permit = state.admission.admit().await?;
+        let permit = state.admission.admit_traced().await?;
         let waited = permit.waited;
         order.hold_audio(state).await?;
         let longest = state.limits.max_audio_seconds;
         let seconds = order.options.longest_seconds().unwrap_or(longest);
         let frames = seconds.min(longest).ceil() as u64 * FRAMES_PER_SECOND;
-        let room = state.answers.share(frames * FRAME_BYTES).await?;
+        let room = state.room((frames * FRAME_BYTES) as usize).await?;
         let (sender, mut events) = mpsc::unbounded_channel();
         let listener = Arc::new(Forward {
             watch: Arc::clone(&order.watch),
             sender: sender.clone(),
         });
         let work = order.work();
-        let metrics = Arc::clone(&state.metrics);
+        let shared = Arc::clone(state);
         let span = tracing::Span::current();
         tokio::spawn(tracing::Instrument::instrument(
             async move {
-                let ended = work::stream(&metrics, work, permit, listener).await;
+                let work = work::stream(&shared.metrics, work, permit, listener);
+                let ended = tokio::select! {
+                    ended = tokio::time::timeout_at(until, work) => {
+                        ended.unwrap_or_else(|_| Err(shared.timeout()))
+                    }
+                    () = shared.lifecycle.aborted() => Err(shared.draining()),
+                };
                 // Nobody listens where the client has gone.
                 let _ = sender.send(Event::Ended(Box::new(ended)));
             },
@@ -298,11 +306,12 @@ struct Sender {
     json: JsonOptions,
     state: SharedState,
     request_id: String,
-    until: Instant,
     waited: Duration,
     events: mpsc::UnboundedReceiver<Event>,
     finisher: Option<Finisher>,
     sent: usize,
+    /// Making frames of decoded motion, all together.
+    motion: Duration,
     presence: Option<Presence>,
     _held: (Box<dyn Send>, Share),
 }
@@ -313,12 +322,11 @@ impl Sender {
         match self.try_next().await {
             Ok(next) => next,
             Err(error) => {
-                // The work stops, if it goes on still.
-                if error.stops_work() {
-                    self.presence = None;
-                }
-                self.answered();
-                let event = ErrorEvent::new(&error, &self.request_id);
+                let report = error.report();
+                self.state.metrics.rejected(report.error_type);
+                // Stops the work, if it goes on still.
+                self.presence = None;
+                let event = ErrorEvent::new(&report, &self.request_id);
                 let json = serde_json::to_vec(&event).unwrap_or_default();
                 (self.writer.event("error", &json), false)
             }
@@ -327,22 +335,22 @@ impl Sender {
 
     async fn try_next(&mut self) -> Result<(Bytes, bool), ServerError> {
         loop {
-            let state = Arc::clone(&self.state);
-            let event = tokio::select! {
-                event = self.events.recv() => event,
-                () = tokio::time::sleep_until(self.until) => return Err(state.timeout()),
-                () = state.lifecycle.aborted() => return Err(state.draining()),
-            };
-            match event {
+            match self.events.recv().await {
                 Some(Event::Frames(motion)) => {
-                    let part = self
-                        .finish(move |finisher| finisher.push(motion.view()))
-                        .await?;
-                    if let Some(event) = self.frames(&part)? {
+                    let frames = self.finish(move |finisher| finisher.push(motion.view()));
+                    if let Some(event) = frames.await? {
                         return Ok((event, true));
                     }
                 }
-                Some(Event::Ended(ended)) => return self.end((*ended)?).await,
+                Some(Event::Ended(ended)) => match *ended {
+                    Ok(ending) => return self.end(ending).await,
+                    Err(error) => {
+                        if !error.stops_work() {
+                            self.answered();
+                        }
+                        return Err(error);
+                    }
+                },
                 Some(Event::Opened(_)) => {}
                 None => return Err(ServerError::Internal("a dance did not end".to_owned())),
             }
@@ -351,46 +359,48 @@ impl Sender {
 
     /// The last frames and the end of the dance, in one piece: they are few.
     async fn end(&mut self, ending: Ending) -> Result<(Bytes, bool), ServerError> {
-        let part = self.finish(Finisher::end).await?;
-        let mut last = self.frames(&part)?.map_or_else(Vec::new, Vec::from);
+        let frames = self.finish(Finisher::end).await?;
+        let mut last = frames.map_or_else(Vec::new, Vec::from);
         let mut timings = ending.timings;
         timings.queue += self.waited;
-        let done = done_event(self.sent, &ending.codes, &ending.tail, timings);
+        timings.motion = self.motion;
+        self.state.metrics.stage("motion", self.motion);
+        let done = done_event(self.sent, &ending.codes, ending.tail.as_ref(), timings);
         last.extend(self.writer.event("done", &done.map_err(of_format)?));
         self.answered();
         Ok((last.into(), false))
     }
 
-    /// Runs on a blocking thread: rotations and the floor of a few seconds.
+    /// Makes frames of decoded motion, and an event of them if there are any. Runs on a blocking thread:
+    /// rotations, the floor and the text of some seconds.
     async fn finish(
         &mut self,
-        work: impl FnOnce(&mut Finisher) -> Result<Finished, crate::motion::MotionError>
-        + Send
-        + 'static,
-    ) -> Result<Finished, ServerError> {
+        work: impl FnOnce(&mut Finisher) -> Result<Finished, MotionError> + Send + 'static,
+    ) -> Result<Option<Bytes>, ServerError> {
         let gone = || ServerError::Internal("a dance was finished twice".to_owned());
         let mut finisher = self.finisher.take().ok_or_else(gone)?;
+        let (sent, json, writer) = (self.sent, self.json, self.writer);
+        let span = tracing::info_span!("stage", otel.name = "motion");
+        let started = Instant::now();
         let finished = tokio::task::spawn_blocking(move || {
-            let part = work(&mut finisher);
-            (finisher, part)
+            let _entered = span.entered();
+            let part = work(&mut finisher)?;
+            let count = part.animation.root.len();
+            let event = match count {
+                0 => None,
+                _ => Some(writer.event("frames", &frames_event(&part, sent, &json)?)),
+            };
+            Ok::<_, crate::Error>((finisher, count, event))
         })
         .await;
-        let (finisher, part) = finished.map_err(|failed| {
+        self.motion += started.elapsed();
+        let (finisher, count, event) = finished.map_err(|failed| {
             self.state.metrics.panicked("motion");
             ServerError::Internal(failed.to_string())
-        })?;
+        })??;
         self.finisher = Some(finisher);
-        part.map_err(|error| ServerError::Dance(error.into()))
-    }
-
-    fn frames(&mut self, part: &Finished) -> Result<Option<Bytes>, ServerError> {
-        let count = part.animation.root.len();
-        if count == 0 {
-            return Ok(None);
-        }
-        let json = frames_event(part, self.sent, &self.json).map_err(of_format)?;
         self.sent += count;
-        Ok(Some(self.writer.event("frames", &json)))
+        Ok(event)
     }
 
     fn answered(&mut self) {
