@@ -9,7 +9,7 @@ DOCKER ?= docker
 IMAGE ?= bailando
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run build test fmt deny lint-deploy clean docker toolchain
+.PHONY: help setup run build test fmt deny lint-deploy chaos soak clean docker toolchain
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -45,6 +45,12 @@ deny: ## check licences, sources and advisories of the dependencies (needs cargo
 
 lint-deploy: ## check Dockerfile, deploy/ and the workflows with offline tools (needs python3)
 	@scripts/check-deploy.sh
+
+chaos: setup build ## bad files, overload, slow clients, stops: tests/load/ (python3, hey; ARGS='--quick')
+	python3 tests/load/chaos.py $(ARGS)
+
+soak: setup build ## half an hour of everything, watching memory (ARGS='--minutes 60')
+	python3 tests/load/soak.py $(ARGS)
 
 clean: ## remove build outputs and the fetched library
 	$(CARGO) clean

@@ -13,7 +13,16 @@ import signal
 import subprocess
 import time
 
-from harness import ROOT, Verdict, arguments, clean_environment, free_port, scratch, spawn, times
+from harness import (
+    ROOT,
+    Verdict,
+    arguments,
+    clean_environment,
+    free_port,
+    scratch,
+    spawn,
+    times,
+)
 
 WITHIN = 2.0
 DEFAULT = ROOT / "models/default"
