@@ -1,7 +1,7 @@
 //! A model directory: its manifest, and files that are what the manifest says.
 
 use std::{
-    fs::File,
+    fs::{self, File},
     io::{self, Read},
     path::{Path, PathBuf},
 };
@@ -25,12 +25,14 @@ impl ModelDirectory {
     /// Reads the manifest of `root` and checks every file it lists by size and SHA-256.
     ///
     /// # Errors
-    /// [`ModelError::Read`], [`ModelError::Manifest`] or [`ModelError::Mismatch`], naming the file.
+    /// [`ModelError::Read`], [`ModelError::Outside`], [`ModelError::Manifest`] or
+    /// [`ModelError::Mismatch`], naming the file.
     pub fn open(root: &Path) -> Result<Self, ModelError> {
         let path = root.join("manifest.json");
         if !path.is_file() {
             return Err(ModelError::NoModel { path });
         }
+        check_place(root, &path)?;
         let text = read_limited(&path, MANIFEST_LIMIT)?;
         let refuse = |problem: String| ModelError::Manifest {
             path: path.clone(),
@@ -40,7 +42,9 @@ impl ModelDirectory {
             serde_json::from_slice(&text).map_err(|e| refuse(e.to_string()))?;
         manifest.validate().map_err(refuse)?;
         for (name, entry) in &manifest.files {
-            check_file(&root.join(name), entry.bytes, &entry.sha256)?;
+            let path = root.join(name);
+            check_place(root, &path)?;
+            check_file(&path, entry.bytes, &entry.sha256)?;
         }
         let manifest_sha256 = hexadecimal(&Sha256::digest(&text));
         Ok(Self {
@@ -84,6 +88,25 @@ impl ModelDirectory {
     /// See [`Encoder::open`].
     pub fn encoder(&self, threads: usize) -> Result<Encoder, ModelError> {
         Encoder::open(&self.root.join("encoder.onnx"), &self.manifest, threads)
+    }
+}
+
+/// Refuses a link out of `root`, and what is no file at all: a device or a pipe may never end.
+fn check_place(root: &Path, path: &Path) -> Result<(), ModelError> {
+    let failed = |reason| ModelError::Read {
+        path: path.to_path_buf(),
+        reason,
+    };
+    let home = fs::canonicalize(root).map_err(failed)?;
+    let place = fs::canonicalize(path).map_err(failed)?;
+    if !place.starts_with(&home) {
+        return Err(ModelError::Outside {
+            path: path.to_path_buf(),
+        });
+    }
+    match fs::metadata(&place).map_err(failed)?.is_file() {
+        true => Ok(()),
+        false => Err(failed(io::Error::other("it is no regular file"))),
     }
 }
 

@@ -28,6 +28,12 @@ pub enum ModelError {
         /// What is wrong in it.
         problem: String,
     },
+    /// A file of the directory is a link to something outside of it.
+    #[error("{}: this link leads out of the model directory", path.display())]
+    Outside {
+        /// The link.
+        path: PathBuf,
+    },
     /// A file is not the one its manifest describes.
     #[error("{}: {what} is {found}, the manifest says {expected}", path.display())]
     Mismatch {
@@ -43,6 +49,14 @@ pub enum ModelError {
     /// The ONNX Runtime library was not found or could not be used.
     #[error("ONNX Runtime: {0}")]
     Runtime(String),
+    /// A file is not a graph that is read from a model directory.
+    #[error("{}: not a graph this version reads: {problem}", path.display())]
+    GraphFile {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong in it.
+        problem: &'static str,
+    },
     /// A graph could not be loaded.
     #[error("{}: ONNX Runtime refuses the graph: {problem}", path.display())]
     Graph {

@@ -206,6 +206,9 @@ const MAX_BLOCK: usize = 4096;
 const MAX_CHANNELS: usize = 16_384;
 const MAX_CODES: usize = 65_536;
 const MAX_RECEPTIVE_CODES: usize = 4096;
+const MAX_JOINTS: usize = 1024;
+/// What the GPT may remember of one dance; the published one takes 6 MiB.
+const MAX_MEMORY_BYTES: u64 = 1 << 30;
 /// Files that every model directory has besides its manifest.
 const REQUIRED_FILES: [&str; 3] = ["gpt.onnx", "decoder.onnx", "encoder.onnx"];
 
@@ -303,11 +306,18 @@ impl Manifest {
             ("decoder width", self.decoder.width, MAX_CHANNELS),
             ("upper vocabulary", self.vocabulary.upper, MAX_CODES),
             ("lower vocabulary", self.vocabulary.lower, MAX_CODES),
+            ("number of joints", self.skeleton.joints.len(), MAX_JOINTS),
         ];
         for (name, size, most) in sizes {
             if !(1..=most).contains(&size) {
                 return Err(format!("{name} is {size}, expected 1 to {most}"));
             }
+        }
+        let memory = self.memory_bytes();
+        if memory > MAX_MEMORY_BYTES {
+            return Err(format!(
+                "gpt remembers {memory} bytes of every dance, expected at most {MAX_MEMORY_BYTES}"
+            ));
         }
         let receptive = self.decoder.receptive_codes;
         if receptive > MAX_RECEPTIVE_CODES {
@@ -316,6 +326,18 @@ impl Manifest {
             ));
         }
         Ok(())
+    }
+
+    /// What the GPT remembers of a dance: keys and values of three streams, in float32.
+    fn memory_bytes(&self) -> u64 {
+        let GptSpec {
+            block,
+            channels,
+            layers,
+            ..
+        } = self.gpt;
+        let numbers = [2, 3, layers, block, channels].map(|size| size as u64);
+        4 * numbers.iter().product::<u64>()
     }
 
     fn validate_sampling(&self) -> Result<(), String> {

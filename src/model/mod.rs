@@ -1,6 +1,7 @@
 //! Model directory, manifest and ONNX sessions: the only place that knows ONNX Runtime.
 
 mod directory;
+pub(crate) mod embedded;
 mod error;
 mod gpt;
 mod manifest;

@@ -9,7 +9,7 @@ use ort::{
     value::{DynValue, Tensor},
 };
 
-use super::{ModelError, runtime};
+use super::{ModelError, embedded, runtime};
 use crate::CancelToken;
 
 /// Named inputs of a run.
@@ -31,6 +31,7 @@ impl Graph {
         threads: usize,
         keeps_memory: bool,
     ) -> Result<Self, ModelError> {
+        embedded::check(path)?;
         let environment = runtime::environment()?;
         let build = || -> ort::Result<Session> {
             Session::builder(environment)?
