@@ -146,6 +146,9 @@ pub enum Problem {
         /// Values in the storage.
         values: usize,
     },
+    /// Tensors that share their storages have more values together than the file has bytes.
+    #[error("the tensors hold more than the {0} values that a file of as many bytes may")]
+    Amplified(usize),
     /// The values are integers or of another kind that weights are not.
     #[error("holds {0} values, expected floating point")]
     NotFloat(&'static str),

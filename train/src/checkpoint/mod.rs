@@ -2,7 +2,8 @@
 //!
 //! Both containers are understood: the zip archive, and the older file of concatenated pickles
 //! and raw storages. Sizes that a file declares are compared with the bytes that are there before
-//! anything is allocated, and tensors are decoded one at a time when asked for, so the memory
+//! anything is allocated, and tensors are decoded one at a time when asked for. Tensors may share a
+//! storage, but all that were asked for have no more values than the file has bytes, so the memory
 //! needed is bounded by the size of the file.
 
 mod container;
@@ -15,11 +16,11 @@ mod zipped;
 pub use error::{CheckpointError, Problem};
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
 };
 
-use crate::tensor::Tensor;
+use crate::tensor::{Tensor, elements};
 use container::Container;
 use pickle::{Arena, Id, Object, Pickled, TensorView};
 
@@ -32,6 +33,12 @@ pub struct Checkpoint {
     path: PathBuf,
     container: Container,
     views: BTreeMap<String, TensorView>,
+    /// Bytes of the file.
+    length: usize,
+    /// Values of the tensors asked for so far.
+    asked: usize,
+    /// Their names: asking again costs nothing.
+    names_asked: BTreeSet<String>,
 }
 
 impl Checkpoint {
@@ -52,6 +59,7 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError::Malformed`].
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, CheckpointError> {
+        let length = bytes.len();
         let opened = Container::open(bytes).and_then(|(container, pickled)| {
             let views = tensor_views(&pickled)?;
             Ok((container, views))
@@ -64,6 +72,9 @@ impl Checkpoint {
             path: path.to_owned(),
             container,
             views,
+            length,
+            asked: 0,
+            names_asked: BTreeSet::new(),
         })
     }
 
@@ -96,7 +107,18 @@ impl Checkpoint {
                 tensor: name.to_owned(),
             });
         };
+        let allowed = || {
+            if self.names_asked.insert(name.to_owned()) {
+                let values = elements(&view.shape).unwrap_or(usize::MAX);
+                self.asked = self.asked.saturating_add(values);
+            }
+            match self.asked <= self.length {
+                true => Ok(()),
+                false => Err(Problem::Amplified(self.length)),
+            }
+        };
         let decoded = view::check(view)
+            .and_then(|()| allowed())
             .and_then(|()| self.container.storage(&view.storage))
             .and_then(|bytes| view::decode(view, &bytes));
         decoded.map_err(|problem| CheckpointError::Tensor {
