@@ -4,12 +4,15 @@
 CARGO ?= cargo
 # Arguments for the server: make run ARGS='--port 9000 --model-dir my-model'
 ARGS ?=
+# For how long each target is fuzzed, and which (none named: all): make fuzz SECONDS=600 TARGETS=container
+SECONDS ?= 60
+TARGETS ?=
 # Any engine with docker's `build` command line: docker, podman, buildah.
 DOCKER ?= docker
 IMAGE ?= bailando
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run build test fmt deny lint-deploy chaos soak clean docker toolchain
+.PHONY: help setup run build test fuzz fmt deny lint-deploy chaos soak clean docker toolchain
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -35,6 +38,9 @@ test: setup ## format, lints, documentation, every test; closes with 'P passed, 
 	@scripts/test-summary.sh target/test.log \
 		$(CARGO) test --workspace --locked --no-fail-fast -- --show-output
 
+fuzz: ## fuzz every target for SECONDS=60 (needs a nightly compiler and cargo-fuzz)
+	@scripts/fuzz.sh $(SECONDS) $(TARGETS)
+
 fmt: ## format the code
 	$(CARGO) fmt --all
 
@@ -54,7 +60,7 @@ soak: setup build ## half an hour of everything, watching memory (ARGS='--minute
 
 clean: ## remove build outputs and the fetched library
 	$(CARGO) clean
-	rm -rf .onnxruntime
+	rm -rf .onnxruntime fuzz/target
 
 docker: ## build the container image (DOCKER=podman, IMAGE=name)
 	$(DOCKER) build -t $(IMAGE) .

@@ -16,6 +16,8 @@ pub mod error;
 pub mod evaluation;
 pub mod features;
 pub mod format;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod model;
 pub mod motion;
 pub mod server;

@@ -19,7 +19,7 @@ mod media;
 mod metrics;
 mod negotiate;
 mod openapi;
-mod options;
+pub(crate) mod options;
 mod outgoing;
 mod process;
 mod room;

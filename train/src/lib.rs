@@ -11,6 +11,8 @@ pub mod compare;
 pub mod data;
 pub mod encode;
 pub mod export;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod held_out;
 pub mod import;
 pub mod music_gap;

@@ -1,0 +1,8 @@
+//! The manifest of a model directory.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| {
+    let _ = bailando::fuzzing::manifest(bytes);
+});

@@ -1,0 +1,16 @@
+//! The query of a request, tails included.
+#![no_main]
+
+use std::sync::LazyLock;
+
+use bailando::model::Manifest;
+use libfuzzer_sys::fuzz_target;
+
+static MODEL: LazyLock<Manifest> = LazyLock::new(|| {
+    let text = include_str!("../../models/default/manifest.json");
+    serde_json::from_str(text).expect("the manifest of the default model")
+});
+
+fuzz_target!(|bytes: &[u8]| {
+    let _ = bailando::fuzzing::options(bytes, &MODEL);
+});

@@ -1,0 +1,18 @@
+//! The corpus of the checkpoint fuzz target on any compiler: every file, and mutations of them,
+//! through what the target calls.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "tests stop where something is not as it should be"
+)]
+
+#[path = "../../tests/fuzz_corpus/files.rs"]
+mod files;
+
+use std::path::Path;
+
+#[test]
+fn checkpoints() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus");
+    files::Corpus::read(&folder, "checkpoint").run(2_000, bailando_train::fuzzing::checkpoint);
+}
