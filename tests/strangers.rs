@@ -72,7 +72,7 @@ impl Stranger {
 
     #[track_caller]
     fn refusal(&self) -> ModelError {
-        self.open().expect_err("it should be refused")
+        self.open().unwrap_err()
     }
 
     /// What becomes of an encoder with this graph.

@@ -107,7 +107,7 @@ impl Checkpoint {
                 tensor: name.to_owned(),
             });
         };
-        let allowed = || {
+        let mut allowed = || {
             if self.names_asked.insert(name.to_owned()) {
                 let values = elements(&view.shape).unwrap_or(usize::MAX);
                 self.asked = self.asked.saturating_add(values);
