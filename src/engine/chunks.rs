@@ -15,7 +15,7 @@ use crate::{
 /// with the song.
 pub(crate) const CHUNK_CODES: usize = 128;
 /// Codes of the first chunk where somebody waits for it; each further one is twice as long.
-const FIRST_CHUNK: usize = 20;
+const FIRST_CHUNK: usize = 21;
 /// Frames over which a dance that goes on from another leaves that one's last pose. The decoder did not know
 /// what would follow when it made that pose, and does now.
 const BLEND_FRAMES: usize = 32;

@@ -166,6 +166,7 @@ fn what_does_not_fit_into_the_batch_is_refused() {
         let options = GenerationOptions {
             candidates: Some(candidates),
             guidance: Some(guidance),
+            temperature: Some(1.0),
             ..GenerationOptions::default()
         };
         choreographer.check(&options).err()
@@ -178,13 +179,9 @@ fn what_does_not_fit_into_the_batch_is_refused() {
         };
         assert_eq!(name, "candidates");
     }
+    // Of a model's own candidates as many are tried as fit.
     let (folder, _) = imported(|options| options.description.candidates = 3);
-    let error = open(&folder, 2).unwrap_err();
-    assert!(
-        matches!(error, Error::Engine(EngineError::Option { .. })),
-        "{error}"
-    );
-    assert!(error.to_string().contains("batch of 2"), "{error}");
+    assert!(open(&folder, 2).is_ok());
 }
 
 fn golden() -> (Vec<u32>, Vec<u32>) {
