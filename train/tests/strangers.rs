@@ -136,8 +136,9 @@ fn a_tensor_is_not_as_large_as_it_says() {
             let opened = Checkpoint::from_bytes(Path::new("x.pt"), file);
             let read = opened.and_then(|mut checkpoint| checkpoint.tensor(NAME));
             let error = read.unwrap_err().to_string();
+            let refusals = ["should have", "list of storages", "hold more than"];
             assert!(
-                error.contains("should have") || error.contains("list of storages"),
+                refusals.iter().any(|refusal| error.contains(refusal)),
                 "{error}"
             );
             let output = import(folder.path(), &path);
