@@ -15,7 +15,7 @@ use std::sync::{
 };
 
 use bailando::{
-    CancelToken, Error,
+    CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, EngineConfig, EngineError, GenerationOptions, Progress, RawDance},
     model::{Gpt, GptMemory, Logits, NextStep, Steps, WeightStorage, WindowKind},
