@@ -6,6 +6,10 @@
 
 FROM rust:1.95-bookworm AS builder
 WORKDIR /build
+# jemalloc is built for pages of one size at most, by default that of this machine; arm64 kernels have up to 64 KiB.
+RUN if [ "$(uname -m)" = aarch64 ]; then \
+        printf '[env]\nJEMALLOC_SYS_WITH_LG_PAGE = "16"\n' > "$CARGO_HOME/config.toml"; \
+    fi
 # The dependencies in a layer of their own: they change less often than the code.
 COPY Cargo.toml Cargo.lock ./
 COPY train/Cargo.toml train/

@@ -3,9 +3,10 @@
 
 Songs of 5 to 60 s as mp3, wav, ogg, flac and m4a; whole dances in both formats, streams of both
 kinds, jobs that are fetched, deleted or forgotten; errors; clients that hang up. Every 5 s memory,
-file descriptors and threads are read. After the first third memory may rise by 1 MiB an hour at
-most (a straight line through the readings), and descriptors and threads stay within bounds; at the
-end, at rest, they are what they were before.
+file descriptors and threads are read, and every two minutes all clients wait until the server has nothing to do.
+After the first third memory at rest may rise by 1 MiB an hour at most (a straight line through the
+readings: those under load move by what is being worked on, which hides so small a slope), and
+descriptors and threads stay within bounds; at the end, at rest, they are what they were before.
 """
 
 import csv
@@ -29,6 +30,10 @@ STEEPEST = 1.0
 MORE_DESCRIPTORS = 2 * CLIENTS + 8
 # Threads for blocking work come with the work and go after 10 s without.
 MORE_THREADS = 3 * CLIENTS + 4
+# From one rest to the next, and how long one is: the allocator gives back within 10 s, forgotten jobs go
+# after 20 s.
+REST_EVERY = 120.0
+REST = 35.0
 LENGTHS = [5, 8, 13, 20, 30, 45, 60]
 LINES = "accept: application/x-ndjson"
 
@@ -47,9 +52,11 @@ def song(noise):
 class Client(threading.Thread):
     """Does one thing after another until told to stop."""
 
-    def __init__(self, server, seed, stop):
+    def __init__(self, server, seed, stop, work):
         super().__init__(daemon=True)
         self.port, self.noise, self.stop = server.port, random.Random(seed), stop
+        # `work` is set while there is to be any; between two acts `resting` is.
+        self.work, self.resting = work, threading.Event()
         self.done, self.problems, self.seconds = Counter(), [], []
 
     def run(self):
@@ -61,6 +68,9 @@ class Client(threading.Thread):
             + [self.leave] * 2
         )
         while not self.stop.is_set():
+            self.resting.set()
+            self.work.wait()
+            self.resting.clear()
             act = self.noise.choice(acts)
             try:
                 problem = act()
@@ -199,12 +209,13 @@ def at_rest(server, seconds=14):
 
 
 def soak(server, seconds, seed):
-    """Readings (seconds, memory, descriptors, threads), and the clients."""
-    stop = threading.Event()
-    clients = [Client(server, f"{seed} {number}", stop) for number in range(CLIENTS)]
+    """Readings (seconds, memory, descriptors, threads), memory at rest (seconds, memory), and the clients."""
+    stop, work = threading.Event(), threading.Event()
+    work.set()
+    clients = [Client(server, f"{seed} {number}", stop, work) for number in range(CLIENTS)]
     for client in clients:
         client.start()
-    started, readings = time.monotonic(), []
+    started, readings, rests = time.monotonic(), [], []
     try:
         while (now := time.monotonic() - started) < seconds and server.is_alive():
             readings.append((now, server.rss(), server.descriptors(), server.threads()))
@@ -213,15 +224,34 @@ def soak(server, seconds, seed):
                     f"row 14: {now / 60:.0f} min: {readings[-1][1] / MIB:.1f} MiB, {readings[-1][2]} descriptors, "
                     f"{readings[-1][3]} threads, {sum(sum(client.done.values()) for client in clients)} acts"
                 )
-            time.sleep(max(0.0, EVERY * len(readings) - (time.monotonic() - started)))
+            if now >= REST_EVERY * (len(rests) + 1):
+                rests.append((time.monotonic() - started, rest(server, clients, work)))
+            time.sleep(max(0.0, EVERY - (time.monotonic() - started - now)))
     finally:
         stop.set()
     for client in clients:
         client.join(200)
-    return readings, clients
+    return readings, rests, clients
 
 
-def report(verdict, readings, clients):
+def rest(server, clients, work):
+    """Memory while all clients wait."""
+    work.clear()
+    for client in clients:
+        client.resting.wait(200)
+    # The lowest reading: the allocator gives back little by little.
+    memory = []
+    until = time.monotonic() + REST
+    while time.monotonic() < until:
+        memory.append(server.rss())
+        time.sleep(1)
+    for client in clients:
+        client.resting.clear()
+    work.set()
+    return min(memory)
+
+
+def report(verdict, readings, rests, clients):
     done = sum((client.done for client in clients), Counter())
     verdict.note(
         f"done: {dict(done)}; dances: {times([second for client in clients for second in client.seconds])}"
@@ -239,17 +269,12 @@ def report(verdict, readings, clients):
         f"memory after the first third: {min(y for _, y in memory):.1f} to {max(y for _, y in memory):.1f} MiB, "
         f"{len(memory)} readings; slope {slope:+.2f} MiB/h, standard error {error:.2f} (as if independent)"
     )
-    # Where it comes back to between requests says more than where it peaks.
-    lows = [
-        min(memory[i : i + 12], key=lambda reading: reading[1])
-        for i in range(0, len(memory) - 11, 12)
-    ]
-    if len(lows) >= 3:
-        low, low_error = line(lows)
-        verdict.note(
-            f"lowest of each minute: slope {low:+.2f} MiB/h, standard error {low_error:.2f}"
-        )
-    verdict.at_most("slope of memory", slope, STEEPEST, "MiB/h", timed=True)
+    calm = [(at / 3600, rss / MIB) for at, rss in rests if at >= first]
+    slope, error = line(calm)
+    verdict.note(
+        f"memory at rest since then: {', '.join(f'{y:.1f}' for _, y in calm)} MiB; standard error of the slope {error:.2f}"
+    )
+    verdict.at_most("slope of memory at rest", slope, STEEPEST, "MiB/h", timed=True)
     for name, column, most in (("descriptors", 2, MORE_DESCRIPTORS), ("threads", 3, MORE_THREADS)):
         values = [reading[column] for reading in late]
         verdict.at_most(
@@ -275,17 +300,17 @@ def main():
     options = arguments(__doc__, extend)
     verdict = Verdict(14, options.quick)
     minutes = options.minutes or (1 if options.quick else 30)
-    # Forgotten jobs are kept for a minute: what they hold is even long before the first third is over.
-    with Server(options, "--job-ttl", 60) as server:
+    # Forgotten jobs are kept for a while: what they hold is gone at each rest.
+    with Server(options, "--job-ttl", 20) as server:
         # Each kind of work has been done once before anything is compared.
-        warm = [Client(server, seed, threading.Event()) for seed in range(2)]
+        warm = [Client(server, seed, threading.Event(), threading.Event()) for seed in range(2)]
         for client in warm:
             for act in (client.dance, client.stream, client.job, client.leave):
                 act()
         before = at_rest(server)
-        readings, clients = soak(server, 60 * minutes, options.seed)
+        readings, rests, clients = soak(server, 60 * minutes, options.seed)
         verdict.note(f"readings: {write(readings)}")
-        report(verdict, readings, clients)
+        report(verdict, readings, rests, clients)
         if server.is_alive():
             after = at_rest(server)
             verdict.at_most("descriptors at rest, more than before", after[0] - before[0], 2)
