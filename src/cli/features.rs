@@ -94,12 +94,15 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
     for warning in &decoded.warnings {
         super::say_error(&format!("warning: {}: {warning}", args.audio.display()));
     }
-    let signal = |index: usize| decoded.signals.get(index).map_or(&[][..], Vec::as_slice);
+    let mut signals = decoded.signals.into_iter();
+    let signal = signals.next().unwrap_or_default();
     let mut rows = FeatureExtractor::new(rate, profile)
-        .extract(signal(0))
+        .extract(&signal)
         .with_context(name)?;
+    drop(signal);
     if counts {
-        let beats = FeatureExtractor::new(Rate::Beats, profile).beats(signal(1));
+        let signal = signals.next().unwrap_or_default();
+        let beats = FeatureExtractor::new(Rate::Beats, profile).beats_until(signal, &cancel);
         rows = with_counts_of(&beats.with_context(name)?, rows, &args.count_periods);
     }
     ndarray_npy::write_npy(&args.output, &rows)

@@ -349,7 +349,7 @@ impl Choreographer {
         progress.decoded(audio.duration_s);
         progress.stage(Stage::Features);
         let heard = spent(&mut timings.features, "features", || {
-            ears.listen(&audio, with_beats, cancel)
+            ears.listen(audio.signals, with_beats, cancel)
         })?;
         let fps = f64::from(self.manifest().fps);
         let beats = heard.beats.as_ref();

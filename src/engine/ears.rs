@@ -65,17 +65,19 @@ impl Ears {
         })
     }
 
-    /// Music rows of decoded audio, and its beats.
+    /// Music rows of the signals of decoded audio, and its beats.
     pub(crate) fn listen(
         &self,
-        audio: &DecodedAudio,
+        signals: Vec<Vec<f32>>,
         with_beats: bool,
         cancel: &CancelToken,
     ) -> Result<Heard> {
-        let signal = |index: usize| audio.signals.get(index).map_or(&[][..], Vec::as_slice);
+        let mut signals = signals.into_iter();
+        let (slow, fast) = (signals.next(), signals.next());
         let rows = || {
             let conditioning = &self.conditioning;
-            conditioning.with(|extractor| extractor.extract_until(signal(0), cancel))
+            let slow = slow.as_deref().unwrap_or_default();
+            conditioning.with(|extractor| extractor.extract_until(slow, cancel))
         };
         if !self.needs_beats(with_beats) {
             return Ok(Heard {
@@ -83,9 +85,10 @@ impl Ears {
                 beats: None,
             });
         }
+        let fast = fast.unwrap_or_default();
         let beats = || {
             let beats = &self.beats;
-            beats.with(|extractor| extractor.beats_until(signal(1), cancel))
+            beats.with(|extractor| extractor.beats_until(fast, cancel))
         };
         // The longer of the two on this thread; the other's panic goes on here.
         let (rows, beats) = thread::scope(|scope| {

@@ -12,7 +12,7 @@ use super::{
     chroma,
     cqt::Cqt,
     decibel::{Reference, to_decibels},
-    hpss::{Parts, Separator, Split},
+    hpss::Separator,
     mel::{BANDS, MelBank},
     mfcc::{Mfcc, delta},
     onset::Onset,
@@ -24,6 +24,12 @@ use super::{
     tuning::Tuner,
 };
 use crate::CancelToken;
+
+/// The two parts of a signal, as long as it.
+pub(super) struct Split {
+    pub(super) harmonic: Vec<f32>,
+    pub(super) percussive: Vec<f32>,
+}
 
 /// All stages, planned.
 pub(super) struct Chain {
@@ -85,19 +91,25 @@ impl Chain {
         let mut mel = Array2::zeros((rows, BANDS));
         let bank = &self.mel;
         let cancel = &self.cancel;
-        let split = self.separator.split(pcm, Parts::Both, |row, magnitudes| {
-            bank.power(magnitudes, mel.row_mut(row));
-            !cancel.is_cancelled()
-        });
+        let mut split = Split {
+            harmonic: vec![0.0; pcm.len()],
+            percussive: pcm.to_vec(),
+        };
+        let harmonic = Some(split.harmonic.as_mut_slice());
+        self.separator
+            .split(&mut split.percussive, harmonic, |row, magnitudes| {
+                bank.power(magnitudes, mel.row_mut(row));
+                !cancel.is_cancelled()
+            });
         to_decibels(&mut mel, Reference::Maximum);
         (split, mel)
     }
 
-    /// The percussive part alone.
-    pub(super) fn percussive(&mut self, pcm: &[f32]) -> Vec<f32> {
+    /// The percussive part alone, in the place of the whole.
+    pub(super) fn percussive(&mut self, signal: &mut [f32]) {
+        let cancel = &self.cancel;
         self.separator
-            .split(pcm, Parts::Percussive, |_, _| !self.cancel.is_cancelled())
-            .percussive
+            .split(signal, None, |_, _| !cancel.is_cancelled());
     }
 
     /// Columns 0..40.

@@ -1,6 +1,7 @@
 //! Harmonic and percussive part by median filtering (FEATURES section 4).
 //!
-//! One pass over the song: only the frames under the median along time are held.
+//! One pass over the song: only the frames under the median along time are held, and what is rebuilt takes the place of samples that
+//! no frame needs any more.
 
 use rustfft::num_complex::Complex;
 
@@ -31,21 +32,6 @@ pub(super) struct Separator {
     percussive: OverlapAdd,
 }
 
-/// The two parts, as long as the signal.
-#[derive(Debug)]
-pub(super) struct Split {
-    /// Empty when it was not asked for.
-    pub(super) harmonic: Vec<f32>,
-    pub(super) percussive: Vec<f32>,
-}
-
-/// Which parts to rebuild.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Parts {
-    Both,
-    Percussive,
-}
-
 impl Separator {
     /// `silent_tail`: samples behind the middle of the last frame are zero (FEATURES section 11.3).
     pub(super) fn new(padding: Padding, silent_tail: bool) -> Self {
@@ -63,27 +49,21 @@ impl Separator {
         }
     }
 
-    /// Splits `pcm`, and shows the magnitudes of each of its frames, in order, to `on_magnitudes`, which
-    /// says whether to go on: if not, the rest is silence.
+    /// Leaves the percussive part of `signal` in its place and writes the other to `harmonic`, as long, where it is asked
+    /// for. Shows the magnitudes of each frame, in order, to `on_magnitudes`, which says whether to go on: if
+    /// not, the rest stays as it is.
     pub(super) fn split(
         &mut self,
-        pcm: &[f32],
-        parts: Parts,
+        signal: &mut [f32],
+        mut harmonic: Option<&mut [f32]>,
         mut on_magnitudes: impl FnMut(usize, &[f32]) -> bool,
-    ) -> Split {
-        let count = row_count(pcm.len());
-        let mut split = Split {
-            harmonic: match parts {
-                Parts::Both => vec![0.0; pcm.len()],
-                Parts::Percussive => Vec::new(),
-            },
-            percussive: vec![0.0; pcm.len()],
-        };
+    ) {
+        let count = row_count(signal.len());
         let mut analysed = 0;
         let mut goes_on = true;
         for index in 0..count {
             while analysed < count.min(index + HALF_WINDOW + 1) {
-                self.analyse(pcm, analysed);
+                self.analyse(signal, analysed);
                 goes_on &= on_magnitudes(analysed, self.magnitudes_of(analysed));
                 analysed += 1;
             }
@@ -93,26 +73,25 @@ impl Separator {
             self.slide_along_time(index, count);
             self.slide_along_frequency(index);
             let frame = FrameOf { index, count };
-            if parts == Parts::Both {
+            if let Some(harmonic_part) = harmonic.as_deref_mut() {
                 self.mask(index, |harmonic, percussive| {
                     soft_mask(harmonic, percussive)
                 });
-                self.harmonic.push(&self.masked, frame, &mut split.harmonic);
+                self.harmonic.push(&self.masked, frame, harmonic_part);
             }
             self.mask(index, |harmonic, percussive| {
                 soft_mask(percussive, harmonic)
             });
-            self.percussive
-                .push(&self.masked, frame, &mut split.percussive);
+            // It completes samples half a window of frames before those that the next frame begins with.
+            self.percussive.push(&self.masked, frame, signal);
         }
         if self.silent_tail {
-            for part in [&mut split.harmonic, &mut split.percussive] {
+            for part in [Some(signal), harmonic].into_iter().flatten() {
                 if let Some(tail) = part.get_mut(HOP * (count - 1)..) {
                     tail.fill(0.0);
                 }
             }
         }
-        split
     }
 
     fn analyse(&mut self, pcm: &[f32], frame: usize) {
@@ -216,13 +195,14 @@ mod tests {
         for samples in [1_100, 15_000, 40_000] {
             let pcm = noise(samples);
             let mut separator = Separator::new(Padding::Zeros, false);
-            let split = separator.split(&pcm, Parts::Both, |_, _| true);
-            for ((h, p), x) in split.harmonic.iter().zip(&split.percussive).zip(&pcm) {
+            let (mut percussive, mut harmonic) = (pcm.clone(), vec![0.0; samples]);
+            separator.split(&mut percussive, Some(&mut harmonic), |_, _| true);
+            for ((h, p), x) in harmonic.iter().zip(&percussive).zip(&pcm) {
                 assert!((h + p - x).abs() < 5e-6);
             }
-            let alone = separator.split(&pcm, Parts::Percussive, |_, _| true);
-            assert_eq!(alone.percussive, split.percussive);
-            assert!(alone.harmonic.is_empty());
+            let mut alone = pcm;
+            separator.split(&mut alone, None, |_, _| true);
+            assert_eq!(alone, percussive);
         }
     }
 
@@ -233,7 +213,7 @@ mod tests {
             let frames = row_count(samples);
             let mut separator = Separator::new(Padding::Zeros, false);
             let mut rows = Vec::new();
-            separator.split(&pcm, Parts::Percussive, |_, row| {
+            separator.split(&mut pcm.clone(), None, |_, row| {
                 rows.push(row.to_vec());
                 true
             });
@@ -274,9 +254,12 @@ mod tests {
 
     #[test]
     fn the_older_profile_ends_in_zeros() {
-        let pcm = noise(5_000);
-        let split = Separator::new(Padding::Reflect, true).split(&pcm, Parts::Both, |_, _| true);
-        assert!(split.harmonic[4_608..].iter().all(|&x| x == 0.0));
-        assert!(split.harmonic[4_600..4_608].iter().any(|&x| x != 0.0));
+        let (mut percussive, mut harmonic) = (noise(5_000), vec![0.0; 5_000]);
+        let mut separator = Separator::new(Padding::Reflect, true);
+        separator.split(&mut percussive, Some(&mut harmonic), |_, _| true);
+        for part in [percussive, harmonic] {
+            assert!(part[4_608..].iter().all(|&x| x == 0.0));
+            assert!(part[4_600..4_608].iter().any(|&x| x != 0.0));
+        }
     }
 }
