@@ -12,6 +12,7 @@ RUN if [ "$(uname -m)" = aarch64 ]; then \
     fi
 # The dependencies in a layer of their own: they change less often than the code.
 COPY Cargo.toml Cargo.lock ./
+COPY .cargo .cargo
 COPY train/Cargo.toml train/
 RUN mkdir -p src benches train/src train/benches \
     && touch src/lib.rs benches/features.rs train/src/lib.rs train/benches/steps.rs \
