@@ -30,8 +30,9 @@ STEEPEST = 1.0
 MORE_DESCRIPTORS = 2 * CLIENTS + 8
 # Threads for blocking work come with the work and go after 10 s without.
 MORE_THREADS = 3 * CLIENTS + 4
-# From one rest to the next, and how long one is: the allocator gives back within 10 s, forgotten jobs go
-# after 20 s.
+# Forgotten jobs go after so long: a rest is longer, so that nothing of them is left.
+JOB_TTL = 20
+# From one rest to the next, and how long one is.
 REST_EVERY = 120.0
 REST = 35.0
 LENGTHS = [5, 8, 13, 20, 30, 45, 60]
@@ -245,8 +246,6 @@ def rest(server, clients, work):
     while time.monotonic() < until:
         memory.append(server.rss())
         time.sleep(1)
-    for client in clients:
-        client.resting.clear()
     work.set()
     return min(memory)
 
@@ -300,8 +299,7 @@ def main():
     options = arguments(__doc__, extend)
     verdict = Verdict(14, options.quick)
     minutes = options.minutes or (1 if options.quick else 30)
-    # Forgotten jobs are kept for a while: what they hold is gone at each rest.
-    with Server(options, "--job-ttl", 20) as server:
+    with Server(options, "--job-ttl", JOB_TTL) as server:
         # Each kind of work has been done once before anything is compared.
         warm = [Client(server, seed, threading.Event(), threading.Event()) for seed in range(2)]
         for client in warm:
