@@ -14,7 +14,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Dance, FormatError, euler::nearest_angles};
+use super::{Dance, FormatError, decimal::push_decimal, euler::nearest_angles};
 use crate::motion::Skeleton;
 
 const ROTATION_CHANNELS: &str = "Yrotation Xrotation Zrotation";
@@ -171,11 +171,8 @@ impl BvhWriter<'_> {
                 angles[joint] = nearest_angles(rotations[joint].as_dquat(), angles[joint]);
                 for angle in angles[joint] {
                     // 1e-4 degrees move a hand by a few micrometres.
-                    write!(
-                        self.text,
-                        " {:.4}",
-                        without_sign_of_zero(angle.to_degrees(), 4)
-                    )?;
+                    self.text.push(' ');
+                    push_decimal(&mut self.text, angle.to_degrees(), 4)?;
                 }
             }
             // Every number brings a space in front; a line starts without.
@@ -188,19 +185,10 @@ impl BvhWriter<'_> {
     fn lengths(&mut self, metres: Vec3) -> fmt::Result {
         let decimals = self.unit.decimals();
         for value in (metres * self.unit.per_metre()).to_array() {
-            let value = without_sign_of_zero(value.into(), decimals as i32);
-            write!(self.text, " {value:.decimals$}")?;
+            self.text.push(' ');
+            push_decimal(&mut self.text, value.into(), decimals)?;
         }
         Ok(())
-    }
-}
-
-/// 0 for what would be printed as -0.
-fn without_sign_of_zero(value: f64, decimals: i32) -> f64 {
-    if value.abs() < 0.5 * 10.0_f64.powi(-decimals) {
-        0.0
-    } else {
-        value
     }
 }
 

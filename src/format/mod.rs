@@ -2,6 +2,7 @@
 
 mod bvh;
 mod dance;
+mod decimal;
 mod error;
 mod euler;
 mod events;

@@ -171,7 +171,8 @@ pub(super) struct StageArguments {
     /// Settings; what the file does not say is as published
     pub(super) config: PathBuf,
 
-    /// Official checkpoint to start from (vqvae, gpt; of actor-critic and adapt: the critic)
+    /// Official checkpoint to start from (vqvae, gpt; of actor-critic and adapt: the critic); for gpt a run's
+    /// checkpoint.safetensors, too
     #[arg(long, value_name = "FILE.pt")]
     pub(super) init: Option<PathBuf>,
 

@@ -32,6 +32,17 @@ impl Store {
         &self.entries
     }
 
+    /// Whether another has the same names and shapes.
+    #[must_use]
+    pub fn fits(&self, other: &Self) -> bool {
+        let names = |store: &Self| -> Vec<(String, Vec<usize>)> {
+            let entries = store.entries.iter();
+            let named = entries.map(|(name, tensor)| (name.clone(), tensor.shape().to_vec()));
+            named.collect()
+        };
+        names(self) == names(other)
+    }
+
     /// The same names and shapes with other values.
     #[must_use]
     pub fn with_values(&self, values: Vec<Vec<f32>>) -> Self {

@@ -65,10 +65,37 @@ impl Codes {
         Self { dances }
     }
 
+    /// Of one dance, its start phases given.
+    #[cfg(test)]
+    pub(super) fn of_one(phases: Vec<Pair>) -> Self {
+        let dance = Variants {
+            phases: phases.len(),
+            codes: phases,
+            vectors: Vec::new(),
+        };
+        Self {
+            dances: vec![dance],
+        }
+    }
+
     /// The codes that a window is cut from.
     pub(super) fn of(&self, window: &Draw) -> &Pair {
         let dance = &self.dances[window.dance];
         &dance.codes[usize::from(window.mirrored) * dance.phases + window.phase]
+    }
+
+    /// The codes of the same dance and side whose first frame is `frame` of the stored dance; `None` where
+    /// it is before the dance, or the variant's phase was not encoded.
+    pub(super) fn beginning_at(&self, window: &Draw, frame: usize) -> Option<[&[i32]; 2]> {
+        let phase = frame % FRAMES_PER_CODE;
+        let dance = self.dances.get(window.dance)?;
+        let known = phase < dance.phases;
+        let [upper, lower] = dance
+            .codes
+            .get(usize::from(window.mirrored) * dance.phases + phase)
+            .filter(|_| known)?;
+        let first = frame / FRAMES_PER_CODE;
+        Some([upper.get(first..)?, lower.get(first..)?])
     }
 
     /// The vectors behind these codes.
@@ -91,7 +118,7 @@ fn variants<B: Kernels>(
     wanted: Augmentation,
     device: &B::Device,
 ) -> Variants {
-    let phases = piece.phases(wanted.phases);
+    let phases = wanted.phases.max(1);
     let sides: &[bool] = if wanted.mirror {
         &[false, true]
     } else {

@@ -9,7 +9,7 @@ use bailando::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::{AblationConfig, TrainError, reward::BeatReward};
+use super::{AblationConfig, TrainError, reward::BeatReward, slips::Slips};
 use crate::data::{JOINTS, PHASES};
 use crate::nn::Precision;
 
@@ -124,6 +124,8 @@ pub struct GptConfig {
     pub phases: usize,
     pub dropout: f64,
     pub code_noise: f64,
+    pub slip_share: f64,
+    pub slip_frames: usize,
     pub hear: Hear,
     pub standardise_music: bool,
     pub training: TrainingConfig,
@@ -335,9 +337,17 @@ impl Config {
                 "gpt.code_noise ({}) must lie in 0..1",
                 gpt.code_noise
             )),
-            None if self.ablation.continuous && gpt.code_noise > 0.0 => {
-                Err("gpt.code_noise: with ablation.continuous there are no codes".into())
+            None if !(0.0..=1.0).contains(&gpt.slip_share) => Err(format!(
+                "gpt.slip_share ({}) must lie in 0..=1",
+                gpt.slip_share
+            )),
+            None if gpt.slip_share > 0.0 && gpt.slip_frames == 0 => {
+                Err("gpt.slip_frames must be at least 1 where there are slips".into())
             }
+            None if self.ablation.continuous && gpt.code_noise + gpt.slip_share > 0.0 => Err(
+                "gpt.code_noise, gpt.slip_share: with ablation.continuous there are no codes"
+                    .into(),
+            ),
             None if self.run.log_steps == 0 => Err("run.log_steps must be at least 1".into()),
             None => Ok(()),
         }
@@ -351,6 +361,17 @@ impl Config {
             0 => self.data.phases,
             phases => phases,
         }
+    }
+}
+
+impl GptConfig {
+    /// How windows are made to slip; none where none are.
+    pub(super) fn slips(&self) -> Option<Slips> {
+        (self.slip_share > 0.0).then_some(Slips {
+            share: self.slip_share,
+            frames: self.slip_frames,
+            block: self.block,
+        })
     }
 }
 
@@ -491,6 +512,8 @@ mod tests {
             "[gpt]\nheads = 5",
             "[gpt]\nphases = 2",
             "[gpt]\ncode_noise = 1.0",
+            "[gpt]\nslip_share = 1.5\nslip_frames = 4",
+            "[gpt]\nslip_share = 0.5",
             "[gpt.training]\nrate = 0",
             "[actor_critic]\nactor_steps = 0",
             "[actor_critic]\ntemperature = -1.0",

@@ -4,22 +4,21 @@ use std::{collections::BTreeSet, io::Write, path::Path};
 
 use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax, backend::Backend};
 use ndarray::ArrayView1;
-use rand::RngExt;
-use rand_chacha::ChaCha8Rng;
 
 use super::{
     Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
     codes::{Augmentation, Codes},
     config::{GptConfig, Hear},
-    runner::{Losses, Plan, Work},
+    runner::{Losses, Plan, WEIGHT, Work},
     saved::Saved,
+    slips::Disturbance,
     vqvae::{Trained, test_means},
     windows::{Windows, generator},
 };
 use crate::{
     Tensor,
     checkpoint::Checkpoint,
-    data::{CropPlan, Draw, Training, rows_beside},
+    data::{CropPlan, Draw, PHASES, Training, rows_beside},
     nn::{GptNet, GptSizes, Kernels, Parameters, Store, Trainable, random_gpt},
     weights::{GptWeights, Linear},
 };
@@ -27,6 +26,10 @@ use bailando::features::{BEAT_COLUMN, COLUMNS, ONSET_COLUMN};
 
 /// Music columns that hardly move are not blown up beyond this.
 const SMALLEST_SPREAD: f32 = 1e-3;
+
+/// What the generators of replaced codes and of slips are seeded with, beside the run's seed.
+const NOISE_SEED: u64 = 0x6E6F_6973;
+const SLIP_SEED: u64 = 0x736C_6970;
 
 /// The spread of a column that is not heard: the largest that can be saved.
 const MUTED: f32 = f32::MAX;
@@ -53,6 +56,15 @@ impl MusicScale {
                 .mute(|column| column < COLUMNS && column != ONSET_COLUMN && column != BEAT_COLUMN);
         }
         scale
+    }
+
+    /// That of a stage's checkpoint.
+    pub(super) fn restore(saved: &Saved) -> Result<Self, String> {
+        let column = |name| Ok::<_, String>(saved.tensor(name)?.data().to_vec());
+        Ok(Self {
+            mean: column("music.mean")?,
+            spread: column("music.spread")?,
+        })
     }
 
     /// Without some columns: they weigh nothing, here and when folded.
@@ -188,7 +200,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             return Err(too_short);
         }
         let frozen = Trained::<A::InnerBackend>::read(config, device)?;
-        let mut encode = |pieces: &[MotionPiece], mirror, phases| {
+        let mut encode = |pieces: &[MotionPiece], mirror, phases: usize| {
             let wanted = Augmentation {
                 mirror,
                 phases,
@@ -197,33 +209,42 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             Codes::encode(&frozen, pieces, wanted, device, output)
         };
         let data = &config.data;
-        let codes = encode(set.training.pieces(), data.mirror, config.gpt_phases());
+        // A slip may be of any number of frames.
+        let slips = stage.slips();
+        let drawn = set.training.pieces().iter();
+        let drawn = drawn.map(|piece| piece.phases(config.gpt_phases())).max();
+        let phases = slips.map_or(drawn.unwrap_or(1), |_| PHASES);
+        let codes = encode(set.training.pieces(), data.mirror, phases);
         let test_codes = set.test.as_ref();
         let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
-        let scale = MusicScale::measure(&set.training, columns, stage);
+        let mut scale = MusicScale::measure(&set.training, columns, stage);
         let mut store = Store::default();
         let mut net = config
             .ablation
             .network(&random(config, columns), &mut store);
         if let Some(path) = init {
-            let checkpoint = &mut Checkpoint::open(path)?;
-            let mut weights = GptWeights::from_checkpoint(checkpoint, stage.heads)?;
-            weights.music = scale.unfold(&weights.music);
-            let mut found = Store::default();
-            net = config.ablation.network(&weights, &mut found);
-            let names = |store: &Store| -> Vec<(String, Vec<usize>)> {
-                let entries = store.entries().iter();
-                entries
-                    .map(|(name, tensor)| (name.clone(), tensor.shape().to_vec()))
-                    .collect()
+            let state = |message: String| TrainError::State {
+                path: path.to_owned(),
+                message,
             };
-            if names(&found) != names(&store) {
-                return Err(TrainError::State {
-                    path: path.to_owned(),
-                    message: "is of other sizes than [gpt] and [vqvae] say".into(),
-                });
+            match Saved::of_extension(path)? {
+                Some(saved) => {
+                    store = saved.fill(WEIGHT, &store).map_err(state)?;
+                    scale = MusicScale::restore(&saved).map_err(state)?;
+                }
+                None => {
+                    let checkpoint = &mut Checkpoint::open(path)?;
+                    let mut weights = GptWeights::from_checkpoint(checkpoint, stage.heads)?;
+                    weights.music = scale.unfold(&weights.music);
+                    let mut found = Store::default();
+                    net = config.ablation.network(&weights, &mut found);
+                    if !found.fits(&store) {
+                        let message = "is of other sizes than [gpt] and [vqvae] say";
+                        return Err(state(message.into()));
+                    }
+                    store = found;
+                }
             }
-            store = found;
         }
         let plan = Plan {
             name: "gpt",
@@ -247,24 +268,13 @@ impl<'a, A: Trainable> GptWork<'a, A> {
     }
 
     /// Codes beside the windows, `offset` behind their starts, `[batch, block]`.
-    fn codes<B: Backend<Device = A::Device>>(
-        &self,
-        codes: &Codes,
-        windows: &[Draw],
-        half: usize,
-        offset: usize,
-    ) -> Device<B, 2, Int> {
+    fn codes(&self, codes: &Codes, windows: &[Draw], half: usize, offset: usize) -> Vec<i32> {
         let block = self.config.gpt.block;
-        let values: Vec<i32> = windows
-            .iter()
-            .flat_map(|window| {
-                let first = window.start / FRAMES_PER_CODE + offset;
-                &codes.of(window)[half][first..][..block]
-            })
-            .copied()
-            .collect();
-        let shape = [windows.len(), block];
-        Device::from_data(TensorData::new(values, shape), &self.device)
+        let values = windows.iter().flat_map(|window| {
+            let first = window.start / FRAMES_PER_CODE + offset;
+            &codes.of(window)[half][first..][..block]
+        });
+        values.copied().collect()
     }
 
     /// The vectors behind these codes, `[batch, block, channels]`.
@@ -303,25 +313,19 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         Device::from_data(TensorData::new(values, shape), &self.device)
     }
 
-    /// The codes, some of them replaced by any others.
-    fn noisy<B: Kernels<Device = A::Device>>(
-        &self,
-        codes: Device<B, 2, Int>,
-        random: &mut ChaCha8Rng,
-    ) -> Device<B, 2, Int> {
-        let share = self.config.gpt.code_noise;
-        let count = self.config.vqvae.codes as i32;
-        let shape = codes.dims();
-        let codes = codes.into_data();
-        let noisy = codes.iter::<i32>().map(|code| {
-            if random.random_bool(share) {
-                random.random_range(0..count)
-            } else {
-                code
-            }
+    /// How the pasts of a step's windows are disturbed.
+    fn disturbance(&self, windows: &[Draw], step: u64) -> Disturbance {
+        let (stage, seed) = (&self.config.gpt, self.config.run.seed);
+        let slips = stage.slips().map(|slips| {
+            let random = &mut generator(seed ^ SLIP_SEED, step);
+            slips.draw(&self.codes, windows, random)
         });
-        let noisy: Vec<i32> = noisy.collect();
-        Device::from_data(TensorData::new(noisy, shape), &self.device)
+        Disturbance {
+            slips: slips.unwrap_or_default(),
+            noise: stage.code_noise,
+            codes: self.config.vqvae.codes as i32,
+            random: generator(seed ^ NOISE_SEED, step),
+        }
     }
 
     /// Loss, cross-entropy of the upper and of the lower codes that come next; without codes, the
@@ -332,7 +336,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         (pieces, codes): (&[MotionPiece], &Codes),
         windows: &[Draw],
         dropout: f64,
-        noise: Option<&mut ChaCha8Rng>,
+        disturbance: Option<Disturbance>,
     ) -> [Device<B, 1>; 3] {
         let music = self.music(pieces, windows);
         if self.config.ablation.continuous {
@@ -345,13 +349,22 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             let (upper, lower) = (error(found.upper, 0), error(found.lower, 1));
             return [upper.clone() + lower.clone(), upper, lower];
         }
+        let block = self.config.gpt.block;
         let mut history = [0, 1].map(|half| self.codes(codes, windows, half, 0));
-        if let Some(random) = noise {
-            history = history.map(|codes| self.noisy(codes, random));
+        if let Some(mut disturbance) = disturbance {
+            for (half, codes) in history.iter_mut().enumerate() {
+                disturbance.disturb(codes, half, block);
+            }
         }
+        let shape = [windows.len(), block];
+        let history =
+            history.map(|codes| Device::from_data(TensorData::new(codes, shape), &self.device));
         let logits = self.net.forward(parameters, music, history, dropout);
         let entropy = |logits: Device<B, 3>, half| {
-            let targets = self.codes(codes, windows, half, 1).unsqueeze_dim::<3>(2);
+            let targets = self.codes(codes, windows, half, 1);
+            let targets: Device<B, 2, Int> =
+                Device::from_data(TensorData::new(targets, shape), &self.device);
+            let targets = targets.unsqueeze_dim::<3>(2);
             log_softmax(logits, 2).gather(2, targets).mean().neg()
         };
         let (upper, lower) = (entropy(logits.upper, 0), entropy(logits.lower, 1));
@@ -366,9 +379,14 @@ impl<A: Trainable> Work<A> for GptWork<'_, A> {
         let stage = &self.config.gpt;
         let windows = self.windows.batch(step, stage.training.batch);
         let examples = (self.set.training.pieces(), &self.codes);
-        let mut random = generator(self.config.run.seed ^ 0x6E6F_6973, step);
-        let noise = (stage.code_noise > 0.0).then_some(&mut random);
-        let losses = self.losses(parameters, examples, &windows, stage.dropout, noise);
+        let disturbance = self.disturbance(&windows, step);
+        let losses = self.losses(
+            parameters,
+            examples,
+            &windows,
+            stage.dropout,
+            Some(disturbance),
+        );
         let [loss, ..] = losses.clone();
         Losses {
             loss,
@@ -404,8 +422,7 @@ impl<A: Trainable> Work<A> for GptWork<'_, A> {
     }
 
     fn restore(&mut self, saved: &Saved) -> Result<(), String> {
-        self.scale.mean = saved.tensor("music.mean")?.data().to_vec();
-        self.scale.spread = saved.tensor("music.spread")?.data().to_vec();
+        self.scale = MusicScale::restore(saved)?;
         Ok(())
     }
 }

@@ -27,6 +27,7 @@ mod runner;
 mod runner_tests;
 mod sampling;
 mod saved;
+mod slips;
 mod song;
 mod songs;
 mod stage;

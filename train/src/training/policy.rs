@@ -64,10 +64,7 @@ impl Policy {
     }
 
     fn restore(config: &Config, saved: &Saved) -> Result<Self, String> {
-        let scale = MusicScale {
-            mean: saved.tensor("music.mean")?.data().to_vec(),
-            spread: saved.tensor("music.spread")?.data().to_vec(),
-        };
+        let scale = MusicScale::restore(saved)?;
         let mut store = Store::default();
         let weights = random(config, scale.mean.len());
         let net = config.ablation.network(&weights, &mut store);

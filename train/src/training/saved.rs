@@ -74,6 +74,18 @@ impl Saved {
             })
     }
 
+    /// A stage's checkpoint to start from, which its extension tells from an official one.
+    pub(super) fn of_extension(path: &Path) -> Result<Option<Self>, TrainError> {
+        if path
+            .extension()
+            .is_none_or(|extension| extension != "safetensors")
+        {
+            return Ok(None);
+        }
+        let missing = || TrainError::file(path)(io::ErrorKind::NotFound.into());
+        Self::read(path)?.ok_or_else(missing).map(Some)
+    }
+
     /// The checkpoint of a finished stage.
     pub(super) fn finished(run: &RunConfig, stage: &'static str) -> Result<Self, TrainError> {
         let path = checkpoint_path(run, stage);

@@ -1,0 +1,66 @@
+//! Numbers with a fixed count of decimals: `{:.4}` of a double finds its exact digits first, which a file of a
+//! hundred thousand rounded numbers does not need.
+
+use std::fmt::{self, Write};
+
+/// Decimals of the largest power of ten that is kept.
+const MOST_DECIMALS: usize = 9;
+/// Whole numbers below it are exact in a double.
+const EXACT: f64 = (1_u64 << f64::MANTISSA_DIGITS) as f64;
+
+/// Appends `value` rounded to at least one decimal, 0 without a sign. Halves go away from zero, where a
+/// double can tell that it is one.
+pub(super) fn push_decimal(text: &mut String, value: f64, decimals: usize) -> fmt::Result {
+    let power = 10_u64.pow(decimals.clamp(1, MOST_DECIMALS) as u32);
+    let scaled = (value * power as f64).round();
+    if !(1..=MOST_DECIMALS).contains(&decimals) || scaled.is_nan() || scaled.abs() >= EXACT {
+        return write!(text, "{value:.decimals$}");
+    }
+    let sign = if scaled < 0.0 { "-" } else { "" };
+    let (whole, part) = (scaled.abs() as u64 / power, scaled.abs() as u64 % power);
+    write!(text, "{sign}{whole}.{part:0decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn text(value: f64, decimals: usize) -> String {
+        let mut text = String::new();
+        push_decimal(&mut text, value, decimals).unwrap();
+        text
+    }
+
+    proptest! {
+        #[test]
+        fn numbers_are_written_as_the_library_would(value in -4_000.0..4_000.0_f64, decimals in 1_usize..=6) {
+            let power = 10.0_f64.powi(decimals as i32);
+            // Near a half the product decides, which is rounded itself.
+            prop_assume!(((value * power).fract().abs() - 0.5).abs() > 1e-6);
+            prop_assume!((value * power).round() != 0.0);
+            prop_assert_eq!(text(value, decimals), format!("{value:.decimals$}"));
+        }
+    }
+
+    #[test]
+    fn signs_zeros_and_extremes() {
+        let cases = [
+            (0.0, 4, "0.0000"),
+            (-0.0, 4, "0.0000"),
+            (-0.000_04, 4, "0.0000"),
+            (-0.000_06, 4, "-0.0001"),
+            (0.999_96, 4, "1.0000"),
+            (-12.5, 1, "-12.5"),
+            (3.05, 6, "3.050000"),
+            (7.0, 0, "7"),
+            (1e17, 2, "100000000000000000.00"),
+            (f64::NAN, 2, "NaN"),
+            (f64::NEG_INFINITY, 2, "-inf"),
+        ];
+        for (value, decimals, wanted) in cases {
+            assert_eq!(text(value, decimals), wanted);
+        }
+    }
+}
