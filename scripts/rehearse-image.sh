@@ -90,7 +90,7 @@ make_rust() {
     local container
     container=$(storage from --pull-never "$debian_image")
     storage run --isolation chroot "$container" -- sh -c 'apt-get update -qq &&
-        apt-get install -qq --yes --no-install-recommends ca-certificates gcc libc6-dev' \
+        apt-get install -qq --yes --no-install-recommends ca-certificates gcc libc6-dev make' \
         >"$work/rust.log" 2>&1 || fail "apt-get failed: see $work/rust.log"
     storage add --quiet "$container" "$work/rust.tar" /usr/local/rust >/dev/null
     storage config --env CARGO_HOME=/usr/local/cargo \
