@@ -84,16 +84,11 @@ impl Codes {
         &dance.codes[usize::from(window.mirrored) * dance.phases + window.phase]
     }
 
-    /// The codes of the same dance and side whose first frame is `frame` of the stored dance; `None` where
-    /// it is before the dance, or the variant's phase was not encoded.
+    /// The codes of the window's dance and side from `frame` of the stored dance on; `None` beyond its end. All
+    /// start phases must have been encoded.
     pub(super) fn beginning_at(&self, window: &Draw, frame: usize) -> Option<[&[i32]; 2]> {
         let phase = frame % FRAMES_PER_CODE;
-        let dance = self.dances.get(window.dance)?;
-        let known = phase < dance.phases;
-        let [upper, lower] = dance
-            .codes
-            .get(usize::from(window.mirrored) * dance.phases + phase)
-            .filter(|_| known)?;
+        let [upper, lower] = self.of(&Draw { phase, ..*window });
         let first = frame / FRAMES_PER_CODE;
         Some([upper.get(first..)?, lower.get(first..)?])
     }

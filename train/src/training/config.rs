@@ -9,7 +9,7 @@ use bailando::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::{AblationConfig, TrainError, reward::BeatReward, slips::Slips};
+use super::{AblationConfig, TrainError, reward::BeatReward};
 use crate::data::{JOINTS, PHASES};
 use crate::nn::Precision;
 
@@ -361,17 +361,6 @@ impl Config {
             0 => self.data.phases,
             phases => phases,
         }
-    }
-}
-
-impl GptConfig {
-    /// How windows are made to slip; none where none are.
-    pub(super) fn slips(&self) -> Option<Slips> {
-        (self.slip_share > 0.0).then_some(Slips {
-            share: self.slip_share,
-            frames: self.slip_frames,
-            block: self.block,
-        })
     }
 }
 

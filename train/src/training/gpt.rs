@@ -11,7 +11,7 @@ use super::{
     config::{GptConfig, Hear},
     runner::{Losses, Plan, WEIGHT, Work},
     saved::Saved,
-    slips::Disturbance,
+    slips::{Disturbance, Slips},
     vqvae::{Trained, test_means},
     windows::{Windows, generator},
 };
@@ -210,10 +210,14 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         };
         let data = &config.data;
         // A slip may be of any number of frames.
-        let slips = stage.slips();
-        let drawn = set.training.pieces().iter();
-        let drawn = drawn.map(|piece| piece.phases(config.gpt_phases())).max();
-        let phases = slips.map_or(drawn.unwrap_or(1), |_| PHASES);
+        let phases = match Slips::new(stage) {
+            Some(_) => PHASES,
+            None => {
+                let pieces = set.training.pieces().iter();
+                let drawn = pieces.map(|piece| piece.phases(config.gpt_phases()));
+                drawn.max().unwrap_or(1)
+            }
+        };
         let codes = encode(set.training.pieces(), data.mirror, phases);
         let test_codes = set.test.as_ref();
         let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
@@ -316,7 +320,7 @@ impl<'a, A: Trainable> GptWork<'a, A> {
     /// How the pasts of a step's windows are disturbed.
     fn disturbance(&self, windows: &[Draw], step: u64) -> Disturbance {
         let (stage, seed) = (&self.config.gpt, self.config.run.seed);
-        let slips = stage.slips().map(|slips| {
+        let slips = Slips::new(stage).map(|slips| {
             let random = &mut generator(seed ^ SLIP_SEED, step);
             slips.draw(&self.codes, windows, random)
         });
@@ -356,15 +360,13 @@ impl<'a, A: Trainable> GptWork<'a, A> {
                 disturbance.disturb(codes, half, block);
             }
         }
-        let shape = [windows.len(), block];
-        let history =
-            history.map(|codes| Device::from_data(TensorData::new(codes, shape), &self.device));
+        let on_device = |codes: Vec<i32>| -> Device<B, 2, Int> {
+            Device::from_data(TensorData::new(codes, [windows.len(), block]), &self.device)
+        };
+        let history = history.map(on_device);
         let logits = self.net.forward(parameters, music, history, dropout);
         let entropy = |logits: Device<B, 3>, half| {
-            let targets = self.codes(codes, windows, half, 1);
-            let targets: Device<B, 2, Int> =
-                Device::from_data(TensorData::new(targets, shape), &self.device);
-            let targets = targets.unsqueeze_dim::<3>(2);
+            let targets = on_device(self.codes(codes, windows, half, 1)).unsqueeze_dim::<3>(2);
             log_softmax(logits, 2).gather(2, targets).mean().neg()
         };
         let (upper, lower) = (entropy(logits.upper, 0), entropy(logits.lower, 1));

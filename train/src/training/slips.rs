@@ -1,4 +1,4 @@
-//! Pasts that are not the recording's: codes replaced by any others, and windows that begin off the beat.
+//! Pasts that are not the recording's: codes replaced by any others, and codes that slip off the beat.
 //!
 //! Recorded dances are in time with their music, so a model that only ever saw them follows its own past
 //! codes: once it dances a passage in another tempo than the song's, nothing calls it back. Here a
@@ -8,7 +8,7 @@
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::{FRAMES_PER_CODE, codes::Codes};
+use super::{FRAMES_PER_CODE, codes::Codes, config::GptConfig};
 use crate::data::Draw;
 
 /// Most codes that slip together; then it is by how much that is drawn anew.
@@ -31,6 +31,15 @@ pub(super) struct Slips {
 pub(super) type Slipped = [Vec<i32>; 2];
 
 impl Slips {
+    /// As configured; `None` where no window slips.
+    pub(super) fn new(config: &GptConfig) -> Option<Self> {
+        (config.slip_share > 0.0).then_some(Self {
+            share: config.slip_share,
+            frames: config.slip_frames,
+            block: config.block,
+        })
+    }
+
     /// The past of each window, or nothing where it stays as it is.
     pub(super) fn draw(
         &self,
@@ -50,7 +59,7 @@ impl Slips {
         while slipped[0].len() < self.block {
             let known = slipped[0].len();
             let count = random.random_range(1..=LONGEST).min(self.block - known);
-            let frame = window_start(window) + FRAMES_PER_CODE * known;
+            let frame = window.phase + window.start + FRAMES_PER_CODE * known;
             // Small ones are likelier: so it is where a dance is called back in time.
             let mut part = || random.random_range(0..=self.frames);
             let offset = part() + part();
@@ -75,11 +84,6 @@ impl Slips {
 fn run<'a>(codes: &'a Codes, window: &Draw, frame: usize, count: usize) -> Option<[&'a [i32]; 2]> {
     let [upper, lower] = codes.beginning_at(window, frame)?;
     Some([upper.get(..count)?, lower.get(..count)?])
-}
-
-/// The window's first frame in the dance as it is stored.
-fn window_start(window: &Draw) -> usize {
-    window.frames(FRAMES_PER_CODE).start
 }
 
 /// How the past codes of a step's windows differ from the recordings'.
