@@ -11,9 +11,9 @@ use crate::{
     motion::ToWorld,
 };
 
-/// Codes decoded per chunk besides the overlap, which is a third of the work then; memory does not grow
-/// with the song.
-pub(crate) const CHUNK_CODES: usize = 128;
+/// Codes decoded per chunk besides the overlap, which is a sixth of the work then; memory does not grow
+/// with the song, and one of half a minute is a single chunk.
+pub(crate) const CHUNK_CODES: usize = 256;
 /// Codes of the first chunk where somebody waits for it; each further one is twice as long.
 const FIRST_CHUNK: usize = 21;
 /// Frames over which a dance that goes on from another leaves that one's last pose. The decoder did not know

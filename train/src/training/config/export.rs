@@ -1,0 +1,42 @@
+//! Settings of the exported model.
+
+use std::path::PathBuf;
+
+use bailando::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, WeightStorage};
+use serde::{Deserialize, Serialize};
+
+/// Stage `export`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExportConfig {
+    pub folder: PathBuf,
+    pub name: String,
+    pub licence: String,
+    pub root_height: f32,
+    pub temperature: f32,
+    pub guidance: f32,
+    pub candidates: usize,
+    pub weights: WeightStorage,
+}
+
+impl ExportConfig {
+    /// What a manifest would be refused for after all the training.
+    pub(super) fn check(&self) -> Result<(), String> {
+        let numbers = [
+            ("temperature", self.temperature, MAX_TEMPERATURE),
+            ("guidance", self.guidance, MAX_GUIDANCE),
+        ];
+        for (name, value, most) in numbers {
+            if !(0.0..=most).contains(&value) {
+                return Err(format!("{name} ({value}) must lie in 0..={most}"));
+            }
+        }
+        if !(1..=MAX_CANDIDATES).contains(&self.candidates) {
+            let candidates = self.candidates;
+            return Err(format!(
+                "candidates ({candidates}) must lie in 1..={MAX_CANDIDATES}"
+            ));
+        }
+        Ok(())
+    }
+}

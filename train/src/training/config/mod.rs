@@ -1,0 +1,258 @@
+//! Settings of a run, read from TOML over the published ones.
+
+use std::path::{Path, PathBuf};
+
+use bailando::{features::Profile, model::MAX_COUNT_PERIODS, motion::MotionFrame};
+use serde::{Deserialize, Serialize};
+
+pub(super) use self::{
+    export::ExportConfig,
+    stages::{ActorCriticConfig, AdaptConfig, GptConfig, Hear, VelocityConfig, VqVaeConfig},
+};
+pub use self::{
+    optimiser::{Schedule, TrainingConfig},
+    stages::Keep,
+};
+use super::{AblationConfig, TrainError};
+use crate::data::{JOINTS, PHASES};
+use crate::nn::Precision;
+
+mod export;
+mod optimiser;
+mod stages;
+
+/// The file that says every setting, with a comment on each.
+const BASE: &str = include_str!("../../../presets/paper.toml");
+
+/// Everything that a run can be told; `train/presets/paper.toml` explains every field.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the commented preset is the documentation")]
+pub struct Config {
+    pub data: DataConfig,
+    pub run: RunConfig,
+    pub vqvae: VqVaeConfig,
+    pub velocity: VelocityConfig,
+    pub gpt: GptConfig,
+    pub actor_critic: ActorCriticConfig,
+    pub adapt: AdaptConfig,
+    pub ablation: AblationConfig,
+    pub export: ExportConfig,
+}
+
+/// Where motion and music come from.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(missing_docs, reason = "the commented preset is the documentation")]
+pub struct DataConfig {
+    pub folder: PathBuf,
+    pub profile: Profile,
+    pub audio: PathBuf,
+    pub cache: PathBuf,
+    pub frame: MotionFrame,
+    pub mirror: bool,
+    pub phases: usize,
+    pub count_periods: Vec<u32>,
+}
+
+impl DataConfig {
+    /// Motion columns that the root's decoder gives.
+    pub(super) fn root_columns(&self) -> &'static [usize] {
+        match self.frame {
+            MotionFrame::World => &[0, 1, 2],
+            MotionFrame::Dancer => &[0, 1, 2, 3 * JOINTS],
+        }
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let Self {
+            phases,
+            count_periods,
+            ..
+        } = self;
+        if !(1..=PHASES).contains(phases) {
+            return Err(format!("phases ({phases}) must lie in 1..={PHASES}"));
+        }
+        if count_periods.contains(&0) || count_periods.len() > MAX_COUNT_PERIODS {
+            return Err(format!(
+                "count_periods: at most {MAX_COUNT_PERIODS}, each at least 1"
+            ));
+        }
+        if !count_periods.is_empty() && self.profile != Profile::Librosa011 {
+            return Err("count_periods need the profile librosa-0.11".into());
+        }
+        Ok(())
+    }
+
+    /// Folder of the songs, where they are kept apart.
+    pub(super) fn audio_folder(&self) -> Option<&Path> {
+        Some(self.audio.as_path()).filter(|folder| !folder.as_os_str().is_empty())
+    }
+
+    /// Folder of the music features, where it is not the usual one.
+    pub(super) fn cache_folder(&self) -> Option<&Path> {
+        Some(self.cache.as_path()).filter(|folder| !folder.as_os_str().is_empty())
+    }
+}
+
+/// Where and how a run happens.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunConfig {
+    pub folder: PathBuf,
+    pub device: String,
+    pub precision: Precision,
+    pub seed: u64,
+    pub checkpoint_seconds: f64,
+    pub log_steps: u64,
+    pub test_steps: u64,
+}
+
+impl Config {
+    /// Reads a file, laid over the published settings.
+    ///
+    /// # Errors
+    /// [`TrainError`] names the file and what is wrong in it.
+    pub fn read(path: &Path) -> Result<Self, TrainError> {
+        let text = std::fs::read_to_string(path).map_err(TrainError::file(path))?;
+        Self::parse(&text).map_err(|message| TrainError::Config {
+            path: path.to_owned(),
+            message,
+        })
+    }
+
+    /// Reads settings, laid over the published ones.
+    ///
+    /// # Errors
+    /// One line on what is wrong.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let table = |text: &str| {
+            text.parse::<toml::Table>()
+                .map_err(|error| error.to_string())
+        };
+        let mut settings = table(BASE)?;
+        overlay(&mut settings, table(text)?);
+        let config: Self = settings.try_into().map_err(|error| error.to_string())?;
+        config.check()?;
+        Ok(config)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let trainings = [
+            ("vqvae", &self.vqvae.training),
+            ("velocity", &self.velocity.training),
+            ("gpt", &self.gpt.training),
+            ("actor_critic", &self.actor_critic.training),
+            ("adapt", &self.adapt.training),
+        ];
+        for (stage, training) in trainings {
+            within(&format!("{stage}.training: "), training.check())?;
+        }
+        within("data.", self.data.check())?;
+        within("vqvae.", self.vqvae.check())?;
+        within("velocity.", self.velocity.check())?;
+        within("gpt.", self.gpt.check(self.data.phases))?;
+        within("actor_critic.", self.actor_critic.check())?;
+        within("adapt.", self.adapt.check())?;
+        within("export.", self.export.check())?;
+        within("ablation: ", self.ablation.check(self.actor_critic.enabled))?;
+        if self.ablation.continuous && self.gpt.code_noise + self.gpt.slip_share > 0.0 {
+            return Err(
+                "gpt.code_noise, gpt.slip_share: with ablation.continuous there are no codes"
+                    .into(),
+            );
+        }
+        if self.run.log_steps == 0 {
+            return Err("run.log_steps must be at least 1".into());
+        }
+        Ok(())
+    }
+
+    /// Start phases that the GPT learns from.
+    pub(super) fn gpt_phases(&self) -> usize {
+        match self.gpt.phases {
+            0 => self.data.phases,
+            phases => phases,
+        }
+    }
+}
+
+/// Says where in the file a mistake is.
+fn within(place: &str, checked: Result<(), String>) -> Result<(), String> {
+    checked.map_err(|mistake| format!("{place}{mistake}"))
+}
+
+/// Refuses sizes of nothing.
+fn at_least_one<const N: usize>(sizes: [(&str, usize); N]) -> Result<(), String> {
+    match sizes.into_iter().find(|&(_, size)| size == 0) {
+        Some((name, _)) => Err(format!("{name} must be at least 1")),
+        None => Ok(()),
+    }
+}
+
+/// Replaces values of `base` by those of `other`, table by table.
+fn overlay(base: &mut toml::Table, other: toml::Table) {
+    for (key, value) in other {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(base)), toml::Value::Table(value)) => overlay(base, value),
+            (_, value) => {
+                base.insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_is_read() {
+        let presets = [
+            BASE,
+            include_str!("../../../presets/default.toml"),
+            include_str!("../../../presets/tiny.toml"),
+            include_str!("../../../presets/ablation.toml"),
+        ];
+        let widths = presets.map(|text| Config::parse(text).unwrap().vqvae.width);
+        assert_eq!(widths, [512, 192, 16, 48]);
+    }
+
+    #[test]
+    fn a_file_changes_only_what_it_says() {
+        let config = Config::parse("[vqvae.training]\nrate = 0.5").unwrap();
+        assert_eq!(config.vqvae.training.rate, 0.5);
+        assert_eq!(config.vqvae.training.batch, 32);
+        assert_eq!(config.gpt.training.rate, 3e-4);
+    }
+
+    #[test]
+    fn mistakes_are_refused() {
+        for text in [
+            "[vqvae]\nwidht = 3",
+            "[vqvae]\nuse = \"first\"",
+            "[vqvae]\nframes = 60",
+            "[data]\nphases = 9",
+            "[data]\ncount_periods = [4, 0]",
+            "[data]\ncount_periods = [4]\nprofile = \"librosa-0.8.1\"",
+            "[data]\nframe = \"sideways\"",
+            "[gpt]\nheads = 5",
+            "[gpt]\nphases = 2",
+            "[gpt]\ncode_noise = 1.0",
+            "[gpt]\nslip_share = 1.5\nslip_frames = 4",
+            "[gpt]\nslip_share = 0.5",
+            "[gpt.training]\nrate = 0",
+            "[actor_critic]\nactor_steps = 0",
+            "[actor_critic]\ntemperature = -1.0",
+            "[export]\ntemperature = 11.0",
+            "[export]\nguidance = -0.5",
+            "[export]\ncandidates = 0",
+            "[adapt]\npieces_per_epoch = 0",
+            "[ablation]\nseparate_halves = true\nwhole_body = true",
+            "[ablation]\ncontinuous = true",
+            "[gpt.training]\nbetas = [1.0, 0.9]",
+        ] {
+            assert!(Config::parse(text).is_err(), "{text}");
+        }
+    }
+}

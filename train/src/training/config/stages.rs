@@ -1,0 +1,217 @@
+//! Settings of each stage of training.
+
+use serde::{Deserialize, Serialize};
+
+use super::{TrainingConfig, at_least_one};
+use crate::training::{FRAMES_PER_CODE, reward::BeatReward};
+
+/// Which weights of a finished stage are used afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Keep {
+    /// Those of the last step.
+    Last,
+    /// Those with the lowest test loss.
+    Best,
+}
+
+/// Stage `vqvae`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VqVaeConfig {
+    pub width: usize,
+    pub embedding: usize,
+    pub codes: usize,
+    pub frames: usize,
+    pub stride: usize,
+    pub velocity_weight: f64,
+    pub acceleration_weight: f64,
+    pub commitment: f64,
+    pub decay: f64,
+    pub restart_below: f64,
+    pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
+}
+
+impl VqVaeConfig {
+    pub(super) fn check(&self) -> Result<(), String> {
+        at_least_one([
+            ("width", self.width),
+            ("embedding", self.embedding),
+            ("codes", self.codes),
+        ])?;
+        check_crops(self.frames, self.stride)
+    }
+}
+
+/// Stage `velocity`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VelocityConfig {
+    pub frames: usize,
+    pub stride: usize,
+    pub difference_weight: f64,
+    pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
+}
+
+impl VelocityConfig {
+    pub(super) fn check(&self) -> Result<(), String> {
+        check_crops(self.frames, self.stride)
+    }
+}
+
+fn check_crops(frames: usize, stride: usize) -> Result<(), String> {
+    if frames == 0 || !frames.is_multiple_of(FRAMES_PER_CODE) || stride == 0 {
+        return Err(format!(
+            "frames ({frames}) must be a multiple of {FRAMES_PER_CODE} and stride ({stride}) at least 1"
+        ));
+    }
+    Ok(())
+}
+
+/// Stage `gpt`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GptConfig {
+    pub channels: usize,
+    pub heads: usize,
+    pub base_layers: usize,
+    pub head_layers: usize,
+    pub block: usize,
+    pub stride: usize,
+    pub phases: usize,
+    pub dropout: f64,
+    pub code_noise: f64,
+    pub slip_share: f64,
+    pub slip_frames: usize,
+    pub hear: Hear,
+    pub standardise_music: bool,
+    pub training: TrainingConfig,
+    #[serde(rename = "use")]
+    pub keep: Keep,
+}
+
+impl GptConfig {
+    /// `phases`: those of the data.
+    pub(super) fn check(&self, phases: usize) -> Result<(), String> {
+        let Self {
+            channels,
+            heads,
+            dropout,
+            code_noise,
+            slip_share,
+            ..
+        } = self;
+        at_least_one([
+            ("channels", *channels),
+            ("block", self.block),
+            ("stride", self.stride),
+            ("base_layers", self.base_layers),
+        ])?;
+        if *heads == 0 || !channels.is_multiple_of(*heads) {
+            return Err(format!(
+                "channels ({channels}) cannot be divided among {heads} heads"
+            ));
+        }
+        if self.phases > phases {
+            let asked = self.phases;
+            return Err(format!(
+                "phases ({asked}) must lie in 0..={phases}, the phases of [data]"
+            ));
+        }
+        if !(0.0..1.0).contains(dropout) {
+            return Err(format!("dropout ({dropout}) must lie in 0..1"));
+        }
+        if !(0.0..1.0).contains(code_noise) {
+            return Err(format!("code_noise ({code_noise}) must lie in 0..1"));
+        }
+        if !(0.0..=1.0).contains(slip_share) {
+            return Err(format!("slip_share ({slip_share}) must lie in 0..=1"));
+        }
+        if *slip_share > 0.0 && self.slip_frames == 0 {
+            return Err("slip_frames must be at least 1 where there are slips".into());
+        }
+        Ok(())
+    }
+}
+
+/// Which music columns the GPT is given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Hear {
+    /// All, as published.
+    All,
+    /// Onsets, beats and counts. Few songs are told apart by timbre and harmony alone, and a new one
+    /// sounds like none of them.
+    Rhythm,
+}
+
+/// Stage `actor-critic`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActorCriticConfig {
+    pub enabled: bool,
+    pub critic_layers: usize,
+    pub reward: BeatReward,
+    pub beat_weight: f64,
+    pub consistency_weight: f64,
+    pub slow_weight: f64,
+    pub discount: f64,
+    pub trace: f64,
+    pub reward_lead: usize,
+    pub standardise_advantage: bool,
+    pub entropy_weight: f64,
+    pub divergence_weight: f64,
+    pub free_steps: u64,
+    pub gains_only: bool,
+    pub temperature: f64,
+    pub pieces_per_epoch: usize,
+    pub takes: usize,
+    pub codes: usize,
+    pub actor_steps: u64,
+    pub critic_steps: u64,
+    pub critic_warmup_steps: u64,
+    pub training: TrainingConfig,
+}
+
+impl ActorCriticConfig {
+    pub(super) fn check(&self) -> Result<(), String> {
+        if self.actor_steps == 0 || self.critic_steps == 0 {
+            return Err("actor_steps and critic_steps must be at least 1".into());
+        }
+        at_least_one([("critic_layers", self.critic_layers)])?;
+        let weights = [
+            ("beat_weight", self.beat_weight),
+            ("consistency_weight", self.consistency_weight),
+            ("discount", self.discount),
+            ("trace", self.trace),
+            ("entropy_weight", self.entropy_weight),
+            ("divergence_weight", self.divergence_weight),
+            ("temperature", self.temperature),
+        ];
+        let wrong = weights
+            .into_iter()
+            .find(|(_, value)| !(*value >= 0.0 && value.is_finite()));
+        wrong.map_or(Ok(()), |(name, value)| {
+            Err(format!("{name} ({value}) must be a number of 0 or more"))
+        })
+    }
+}
+
+/// Stage `adapt`; what is not said here is as in `actor_critic`.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AdaptConfig {
+    pub pieces_per_epoch: usize,
+    pub codes: usize,
+    pub training: TrainingConfig,
+}
+
+impl AdaptConfig {
+    pub(super) fn check(&self) -> Result<(), String> {
+        at_least_one([("pieces_per_epoch", self.pieces_per_epoch)])
+    }
+}
