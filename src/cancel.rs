@@ -76,14 +76,6 @@ impl CancelToken {
             number,
         }
     }
-
-    /// A guard that cancels when it is dropped, for callers whose future may be dropped midway.
-    #[must_use]
-    pub fn cancel_on_drop(&self) -> CancelOnDrop {
-        CancelOnDrop {
-            token: self.clone(),
-        }
-    }
 }
 
 impl fmt::Debug for CancelToken {
@@ -105,18 +97,6 @@ impl Drop for InterruptGuard<'_> {
     fn drop(&mut self) {
         let mut hooks = self.token.shared.hooks();
         hooks.list.retain(|(number, _)| *number != self.number);
-    }
-}
-
-/// Cancels its token when dropped.
-#[derive(Debug)]
-pub struct CancelOnDrop {
-    token: CancelToken,
-}
-
-impl Drop for CancelOnDrop {
-    fn drop(&mut self) {
-        self.token.cancel();
     }
 }
 
@@ -146,13 +126,5 @@ mod tests {
             1,
             "an already cancelled token interrupts at once"
         );
-    }
-
-    #[test]
-    fn dropping_the_guard_cancels_every_clone() {
-        let token = CancelToken::new();
-        let other = token.clone();
-        drop(token.cancel_on_drop());
-        assert!(other.is_cancelled());
     }
 }

@@ -4,7 +4,8 @@
 //! One direction: [`audio`] (bytes to PCM) → [`features`] (PCM to 438 columns) → [`model`] (the
 //! only module that knows ONNX Runtime) → [`motion`] (skeleton, kinematics) → [`mod@format`] (JSON,
 //! BVH). [`engine`] schedules a generation, [`server`] is HTTP only, [`evaluation`] measures dances,
-//! [`codebook`] shows what a model's codes look like, [`mod@bench`] how fast all of this is.
+//! [`codebook`] shows what a model's codes look like, [`mod@bench`] how fast all of this is, [`npy`] reads
+//! NumPy files.
 
 pub mod audio;
 pub mod bench;
@@ -20,6 +21,7 @@ pub mod format;
 pub mod fuzzing;
 pub mod model;
 pub mod motion;
+pub mod npy;
 pub mod server;
 
 pub use cancel::CancelToken;

@@ -346,27 +346,30 @@ fn a_stream_is_the_dance_in_pieces() {
     }
 }
 
-#[test]
-fn a_dance_goes_on_where_another_ended() {
-    let part = |offset_s: f64, continue_from: Option<Tail>| {
-        let options = GenerationOptions {
-            seed: Some(8),
-            continue_from,
-            range: bailando::audio::AudioRange {
-                offset_s,
-                duration_s: Some(8.0),
-            },
-            ..GenerationOptions::default()
-        };
-        choreographer()
-            .generate(fixture("demo.ogg").into(), &options, &CancelToken::new())
-            .unwrap()
+/// A dance to a few seconds of the demo song from `offset_s` on.
+fn part(offset_s: f64, continue_from: Option<Tail>, root_motion: bool) -> Dance {
+    let options = GenerationOptions {
+        seed: Some(8),
+        continue_from,
+        root_motion,
+        range: bailando::audio::AudioRange {
+            offset_s,
+            duration_s: Some(8.0),
+        },
+        ..GenerationOptions::default()
     };
-    let first = part(0.0, None);
-    // Over the wire and back.
-    let tail = first.tail.clone().unwrap().to_text().parse().unwrap();
-    let second = part(8.0, Some(tail));
-    assert_eq!(second.positions.dim(), first.positions.dim());
+    choreographer()
+        .generate(fixture("demo.ogg").into(), &options, &CancelToken::new())
+        .unwrap()
+}
+
+/// The end of a dance over the wire and back.
+fn tail_of(dance: &Dance) -> Option<Tail> {
+    Some(dance.tail.as_ref()?.to_text().parse().unwrap())
+}
+
+/// From the last frame of a dance to the first of the next no joint goes further than it does inside.
+fn assert_goes_on(first: &Dance, second: &Dance) {
     let (last, next) = (
         first
             .positions
@@ -389,7 +392,15 @@ fn a_dance_goes_on_where_another_ended() {
         .fold(0.0, f32::max);
     println!("seam {furthest:.3} m, fastest step inside {fastest:.3} m");
     assert!(furthest < fastest + 0.02, "{furthest} {fastest}");
-    let elsewhere = part(8.0, None);
+}
+
+#[test]
+fn a_dance_goes_on_where_another_ended() {
+    let first = part(0.0, None, true);
+    let second = part(8.0, tail_of(&first), true);
+    assert_eq!(second.positions.dim(), first.positions.dim());
+    assert_goes_on(&first, &second);
+    let elsewhere = part(8.0, None, true);
     assert_ne!(second.codes, elsewhere.codes);
     // And what a tail tells of another model is refused.
     let foreign = Tail::new("00000000", first.codes.clone(), [0.0; 2], 0.0);
@@ -399,6 +410,19 @@ fn a_dance_goes_on_where_another_ended() {
     };
     let refused = choreographer().check(&options).unwrap_err();
     assert!(refused.to_string().contains("another model"), "{refused}");
+}
+
+#[test]
+fn a_dance_goes_on_from_one_that_was_held_in_place() {
+    let walked = part(0.0, None, true);
+    let held = part(8.0, tail_of(&walked), false);
+    let place = |dance: &Dance| tail_of(dance).unwrap().place;
+    let [x, z] = place(&walked);
+    assert!(x.hypot(z) > 0.2, "the first dance goes nowhere: {x} {z}");
+    assert_eq!(place(&held), [0.0; 2]);
+    let next = part(16.0, tail_of(&held), true);
+    assert_goes_on(&held, &next);
+    assert_ne!(place(&next), [0.0; 2]);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::{fs, num::NonZeroUsize, thread};
 
 use super::report::Machine;
+use crate::server::process::memory_bytes;
 
 pub(super) fn describe() -> Machine {
     let cpu = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
@@ -24,17 +25,10 @@ pub(super) fn describe() -> Machine {
 
 /// Memory that the process holds now.
 pub(super) fn resident_bytes() -> Option<u64> {
-    status("VmRSS:")
+    memory_bytes("VmRSS:")
 }
 
 /// The most that it has held.
 pub(super) fn peak_bytes() -> Option<u64> {
-    status("VmHWM:")
-}
-
-fn status(name: &str) -> Option<u64> {
-    let status = fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with(name))?;
-    let kilobytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(1024 * kilobytes)
+    memory_bytes("VmHWM:")
 }

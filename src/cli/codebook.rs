@@ -12,10 +12,10 @@ use bailando::{
     codebook::{Catalogue, Half, Order, Uses},
     format::Codes,
     model::ModelDirectory,
+    npy::read_array,
 };
 use clap::ValueEnum;
-use ndarray::ArrayView2;
-use ndarray_npy::ViewNpyExt;
+use ndarray::Array2;
 
 use super::say;
 
@@ -105,12 +105,10 @@ impl CodebookArgs {
     }
 }
 
-/// Reads codes through a memory-sized view of the file: the reader of whole arrays allocates what
-/// the header declares, true or not.
 fn read_codes(path: &Path) -> anyhow::Result<Codes> {
     let name = || format!("{}: not int64 codes, upper and lower", path.display());
     let bytes = fs::read(path).with_context(|| path.display().to_string())?;
-    let rows = ArrayView2::<i64>::view_npy(&bytes).with_context(name)?;
+    let rows: Array2<i64> = read_array(&bytes).with_context(name)?;
     anyhow::ensure!(rows.nrows() == 2, name());
     let row = |row: usize| -> anyhow::Result<Vec<u32>> {
         let codes = rows.row(row).into_iter();

@@ -16,10 +16,10 @@ use bailando::{
     format::{Codes, Dance, Tail},
     model::WindowKind,
     motion,
+    npy::read_array,
 };
 use clap::{ArgAction, ValueEnum};
 use ndarray::Array2;
-use ndarray_npy::ViewNpyExt;
 
 use super::{
     Usage,
@@ -73,8 +73,8 @@ struct SamplingArgs {
     #[arg(long)]
     guidance: Option<f32>,
     /// Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to
-    /// the music's, less its share of frames that stand still (up to 12 while the best one freezes);
-    /// the cost grows with them. One with --features, which tell no beats
+    /// the music's, less its share of frames that stand still (up to 12 while the best one freezes
+    /// or goes to the ground); the cost grows with them. One with --features, which tell no beats
     #[arg(long)]
     candidates: Option<usize>,
     /// First pose code of the upper body
@@ -313,13 +313,9 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Reads feature rows through a memory-sized view of the file: the reader of whole arrays allocates
-/// what the header declares, true or not.
 fn read_rows(path: &Path) -> anyhow::Result<Array2<f32>> {
-    let name = || format!("{}: not a matrix of float32", path.display());
     let bytes = fs::read(path).with_context(|| path.display().to_string())?;
-    let rows = ndarray::ArrayView2::<f32>::view_npy(&bytes).with_context(name)?;
-    Ok(rows.to_owned())
+    read_array(&bytes).with_context(|| format!("{}: not a matrix of float32", path.display()))
 }
 
 /// Codes as int64 [2, codes], upper then lower.

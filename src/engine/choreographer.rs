@@ -1,36 +1,30 @@
 //! Audio in, dance out: the one path that the server and the command line share.
 
-use std::{
-    num::NonZeroUsize,
-    path::PathBuf,
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{num::NonZeroUsize, path::PathBuf, sync::Arc, time::Duration};
 
 use bytes::Bytes;
-use ndarray::{Array2, Axis, Slice, concatenate};
+use ndarray::{Array2, Axis, Slice};
 
 use super::{
     EngineError, GenerationOptions, Listener, Observer, Opening, Progress, Stage,
     ears::Ears,
+    progress::spent,
     sampler::{Sampling, draw_seed},
+    song::{Listening, Music, Song},
+    tail::{start_of, tail_of},
     window::Window,
     worker::{Job, Outcome, Worker},
 };
 use crate::{
     CancelToken, Result,
     audio::AudioLimits,
-    format::{Codes, Dance, MusicInfo, Tail, Timings},
+    format::{Codes, Dance, Tail, Timings},
     model::{Manifest, ModelDirectory},
     motion::{self, FinishOptions, Finisher, Positions, PositionsSource},
 };
 
 /// Dances that share a step where nobody says otherwise: beyond it steps take longer in proportion.
 pub const DEFAULT_BATCH: NonZeroUsize = NonZeroUsize::MIN.saturating_add(15);
-/// Most pose codes in a tail, so that it fits into the value of an option.
-const LONGEST_TAIL: usize = 43;
-/// Largest vocabulary whose codes a tail can hold.
-const MOST_TAIL_CODES: usize = 1 << 16;
 /// How often a pair is repeated to be looked at, and how many of these are shown: those in the middle, far
 /// from the zero padding at the ends.
 const REPEATS: (usize, usize) = (12, 4);
@@ -92,15 +86,6 @@ pub struct Ending {
     pub tail: Option<Tail>,
     /// Wall time per stage.
     pub timings: Timings,
-}
-
-/// What the model hears, and what callers are told of it.
-struct Song {
-    rows: Array2<f32>,
-    /// Frames of the beats; none where nobody needs them.
-    beats: Vec<usize>,
-    music: Option<MusicInfo>,
-    warnings: Vec<String>,
 }
 
 impl Choreographer {
@@ -196,7 +181,7 @@ impl Choreographer {
         let song = self.hear(audio, options, cancel, progress.as_ref(), &mut timings)?;
         let seed = options.seed.map_or_else(draw_seed, Ok)?;
         progress.stage(Stage::Generating);
-        let job = self.job(song.rows, song.beats, seed, options, cancel, progress);
+        let job = self.job(song.music, seed, options, cancel, progress);
         let outcome = self.dance(job, &mut timings)?;
         let finished = spent(&mut timings.motion, "motion", || {
             let options = self.finish_options(options);
@@ -205,7 +190,7 @@ impl Choreographer {
             motion::finish_while(outcome.motion.view(), skeleton, &options, goes_on)
         })?
         .ok_or(EngineError::Cancelled)?;
-        let tail = self.tail(&outcome, options);
+        let tail = tail_of(&outcome, options, &self.shared.directory);
         Ok(Dance {
             model: self.manifest().name.clone(),
             seed,
@@ -214,7 +199,7 @@ impl Choreographer {
             positions: finished.positions,
             positions_source: finished.source,
             codes: outcome.codes,
-            music: song.music,
+            music: song.info,
             timings,
             warnings: song.warnings,
             tail,
@@ -239,7 +224,7 @@ impl Choreographer {
         let seed = options.seed.map_or_else(draw_seed, Ok)?;
         let finish = self.finish_options(options);
         let manifest = self.manifest();
-        let decoded = (song.rows.nrows() * manifest.frames_per_code) as u64;
+        let decoded = (song.music.rows.nrows() * manifest.frames_per_code) as u64;
         let frames = (decoded * u64::from(finish.fps)).div_ceil(u64::from(finish.decoded_fps));
         listener.opened(Opening {
             model: manifest.name.clone(),
@@ -251,21 +236,21 @@ impl Choreographer {
                 true => PositionsSource::Decoder,
                 false => PositionsSource::ForwardKinematics,
             },
-            music: song.music,
+            music: song.info,
             timings,
             warnings: song.warnings,
             finisher: Finisher::new(&manifest.skeleton, &finish)?,
         });
         listener.stage(Stage::Generating);
         let progress = Arc::clone(&listener) as Arc<dyn Progress>;
-        let job = self.job(song.rows, song.beats, seed, options, cancel, progress);
+        let job = self.job(song.music, seed, options, cancel, progress);
         let job = Job {
             listener: Some(listener),
             ..job
         };
         let outcome = self.dance(job, &mut timings)?;
         Ok(Ending {
-            tail: self.tail(&outcome, options),
+            tail: tail_of(&outcome, options, &self.shared.directory),
             codes: outcome.codes,
             timings,
         })
@@ -286,10 +271,11 @@ impl Choreographer {
         progress: Arc<dyn Progress>,
     ) -> Result<RawDance> {
         self.check(options)?;
+        let music = Music::new(rows, Vec::new(), self.manifest().features.columns)?;
         let seed = options.seed.map_or_else(draw_seed, Ok)?;
         progress.stage(Stage::Generating);
         let mut timings = Timings::default();
-        let job = self.job(rows, Vec::new(), seed, options, cancel, progress);
+        let job = self.job(music, seed, options, cancel, progress);
         let outcome = self.dance(job, &mut timings)?;
         Ok(RawDance {
             seed,
@@ -339,39 +325,19 @@ impl Choreographer {
         timings: &mut Timings,
     ) -> Result<Song> {
         self.check(options)?;
-        let candidates = options.candidates(self.manifest(), self.shared.batch);
-        let with_beats = options.music || candidates > 1;
-        let ears = &self.shared.ears;
-        progress.stage(Stage::Decoding);
-        let audio = spent(&mut timings.decode, "decode", || {
-            ears.decode(audio, options.range, with_beats, cancel)
-        })?;
-        progress.decoded(audio.duration_s);
-        progress.stage(Stage::Features);
-        let heard = spent(&mut timings.features, "features", || {
-            ears.listen(audio.signals, with_beats, cancel)
-        })?;
-        let fps = f64::from(self.manifest().fps);
-        let beats = heard.beats.as_ref();
-        Ok(Song {
-            rows: heard.rows,
-            beats: beats
-                .into_iter()
-                .flat_map(|beats| beats.seconds())
-                .map(|second| (second * fps).round() as usize)
-                .collect(),
-            music: beats.filter(|_| options.music).map(|beats| MusicInfo {
-                tempo_bpm: beats.tempo_bpm,
-                beats_s: beats.seconds().collect(),
-            }),
-            warnings: audio.warnings,
-        })
+        let manifest = self.manifest();
+        let listening = Listening {
+            ears: &self.shared.ears,
+            manifest,
+            options,
+            has_a_choice: options.candidates(manifest, self.shared.batch) > 1,
+        };
+        listening.song(audio, cancel, progress, timings)
     }
 
     fn job(
         &self,
-        rows: Array2<f32>,
-        beats: Vec<usize>,
+        music: Music,
         seed: u64,
         options: &GenerationOptions,
         cancel: &CancelToken,
@@ -380,15 +346,19 @@ impl Choreographer {
         let manifest = self.manifest();
         let defaults = manifest.sampling;
         let tail = options.continue_from.as_ref();
+        let music = match tail {
+            Some(_) => music.led_in(manifest.frames_per_code),
+            None => music,
+        };
         Job {
-            music: rows,
+            music: music.rows,
             sampling: Sampling {
                 temperature: options.temperature.unwrap_or(defaults.temperature),
                 top_k: options.top_k.or(defaults.top_k),
             },
             guidance: options.guidance.unwrap_or(defaults.guidance),
             candidates: options.candidates(manifest, self.shared.batch),
-            beats,
+            beats: music.beats,
             seed,
             start: [options.start_upper, options.start_lower],
             window: Window::new(
@@ -404,19 +374,7 @@ impl Choreographer {
         }
     }
 
-    fn dance(&self, mut job: Job, timings: &mut Timings) -> Result<Outcome> {
-        check_rows(&job.music, self.manifest().features.columns)?;
-        if let Some(leads) = job.lead_in() {
-            // The code that leads in stands before the first row, which nobody hears (ARCHITECTURE 3).
-            let first = job.music.slice_axis(Axis(0), Slice::from(..leads));
-            // Both have the same columns.
-            if let Ok(music) = concatenate(Axis(0), &[first, job.music.view()]) {
-                job.music = music;
-            }
-            for beat in &mut job.beats {
-                *beat += leads * self.manifest().frames_per_code;
-            }
-        }
+    fn dance(&self, job: Job, timings: &mut Timings) -> Result<Outcome> {
         let span = tracing::info_span!("inference").entered();
         let outcome = self.shared.worker.run(job)?;
         drop(span);
@@ -433,60 +391,4 @@ impl Choreographer {
             start: start_of(options),
         }
     }
-
-    /// The end of a dance, and of the one that it goes on from where it is short itself.
-    fn tail(&self, outcome: &Outcome, options: &GenerationOptions) -> Option<Tail> {
-        let vocabulary = self.manifest().vocabulary;
-        if vocabulary.upper.max(vocabulary.lower) > MOST_TAIL_CODES {
-            return None;
-        }
-        let count = (self.manifest().decoder.receptive_codes + 1).min(LONGEST_TAIL);
-        let before = options.continue_from.as_ref().map(|tail| &tail.codes);
-        let half = |of: fn(&Codes) -> &Vec<u32>| -> Vec<u32> {
-            let before = before.map_or(&[][..], |codes| of(codes));
-            let all = before.iter().chain(of(&outcome.codes));
-            let length = before.len() + of(&outcome.codes).len();
-            all.skip(length.saturating_sub(count)).copied().collect()
-        };
-        let codes = Codes {
-            upper: half(|codes| &codes.upper),
-            lower: half(|codes| &codes.lower),
-        };
-        let [x, z] = start_of(options);
-        let [walked_x, walked_z] = outcome.walked;
-        let place = [x + walked_x, z + walked_z];
-        let facing = outcome.facing;
-        Some(Tail::new(self.model_sha256(), codes, place, facing))
-    }
-}
-
-/// Where the root starts on the floor.
-fn start_of(options: &GenerationOptions) -> [f32; 2] {
-    let tail = options.continue_from.as_ref();
-    tail.map_or([0.0; 2], |tail| tail.place)
-}
-
-fn check_rows(rows: &Array2<f32>, columns: usize) -> Result<(), EngineError> {
-    let problem = if rows.ncols() != columns || rows.nrows() < 2 {
-        format!(
-            "expected at least 2 rows of {columns} columns, got {:?}",
-            rows.dim()
-        )
-    } else if rows.iter().any(|value| !value.is_finite()) {
-        "a value is not a finite number".into()
-    } else {
-        return Ok(());
-    };
-    Err(EngineError::Option {
-        name: "features",
-        problem,
-    })
-}
-
-/// Measures a stage, in a span of its name.
-fn spent<T>(elapsed: &mut Duration, stage: &'static str, work: impl FnOnce() -> T) -> T {
-    let started = Instant::now();
-    let result = tracing::info_span!("stage", otel.name = stage).in_scope(work);
-    *elapsed = started.elapsed();
-    result
 }

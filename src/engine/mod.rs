@@ -14,6 +14,8 @@ mod queue;
 mod sampler;
 mod search;
 mod sessions;
+mod song;
+mod tail;
 mod window;
 mod worker;
 

@@ -21,7 +21,7 @@ pub struct GenerationOptions {
     /// hides it; other than 1 costs twice as much.
     pub guidance: Option<f32>,
     /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's, less
-    /// its share of frames that stand still (up to 12 while the best one freezes).
+    /// its share of frames that stand still (up to 12 while the best one freezes or goes to the ground).
     pub candidates: Option<usize>,
     /// First upper pose code; drawn from the manifest's list if absent.
     pub start_upper: Option<u32>,
@@ -70,29 +70,40 @@ impl GenerationOptions {
     /// # Errors
     /// [`EngineError::Option`] names the first option that does not fit, and what does.
     pub fn check(&self, manifest: &Manifest, batch: usize) -> Result<(), EngineError> {
-        let refuse = |name, problem| Err(EngineError::Option { name, problem });
+        self.check_sampling(manifest)?;
+        self.check_batch(manifest, batch)?;
+        self.check_start(manifest.vocabulary)?;
+        self.check_tail(manifest.vocabulary)?;
+        if !motion::FRAME_RATES.contains(&self.fps) {
+            let rates = motion::FRAME_RATES.map(|rate| rate.to_string()).join(", ");
+            return refuse("fps", format!("{} is not one of {rates}", self.fps));
+        }
+        check_range(self.range)
+    }
+
+    /// How codes are drawn.
+    fn check_sampling(&self, manifest: &Manifest) -> Result<(), EngineError> {
         if let Some(seed) = self.seed.filter(|&seed| seed > MAX_SEED) {
-            return refuse(
-                "seed",
-                format!("{seed} is too large, the largest is {MAX_SEED}"),
-            );
+            let problem = format!("{seed} is too large, the largest is {MAX_SEED}");
+            return refuse("seed", problem);
         }
-        if let Some(t) = self
-            .temperature
-            .filter(|t| !(0.0..=MAX_TEMPERATURE).contains(t))
-        {
-            return refuse(
-                "temperature",
-                format!("{t} is not between 0 and {MAX_TEMPERATURE}"),
-            );
+        let numbers = [
+            ("temperature", self.temperature, MAX_TEMPERATURE),
+            ("guidance", self.guidance, MAX_GUIDANCE),
+        ];
+        for (name, number, most) in numbers {
+            if let Some(number) = number.filter(|number| !(0.0..=most).contains(number)) {
+                return refuse(name, format!("{number} is not between 0 and {most}"));
+            }
         }
-        if let Some(g) = self.guidance.filter(|g| !(0.0..=MAX_GUIDANCE).contains(g)) {
-            return refuse(
-                "guidance",
-                format!("{g} is not between 0 and {MAX_GUIDANCE}"),
-            );
-        }
+        let Vocabulary { upper, lower, .. } = manifest.vocabulary;
         check_between("candidates", self.candidates, 1, MAX_CANDIDATES)?;
+        check_between("top_k", self.top_k, 1, upper.max(lower))?;
+        check_between("hop", self.hop, 1, manifest.gpt.context)
+    }
+
+    /// What needs several dances side by side must fit into the batch.
+    fn check_batch(&self, manifest: &Manifest, batch: usize) -> Result<(), EngineError> {
         let branches = branches(self.guidance.unwrap_or(manifest.sampling.guidance));
         if branches > batch {
             return refuse(
@@ -111,53 +122,16 @@ impl GenerationOptions {
                 ),
             );
         }
-        let vocabulary = manifest.vocabulary;
-        check_between(
-            "top_k",
-            self.top_k,
-            1,
-            vocabulary.upper.max(vocabulary.lower),
-        )?;
-        let code = |start: Option<u32>| start.map(|code| code as usize);
-        check_between(
-            "start_upper",
-            code(self.start_upper),
-            0,
-            vocabulary.upper - 1,
-        )?;
-        check_between(
-            "start_lower",
-            code(self.start_lower),
-            0,
-            vocabulary.lower - 1,
-        )?;
-        self.check_tail(vocabulary)?;
-        check_between("hop", self.hop, 1, manifest.gpt.context)?;
-        if !motion::FRAME_RATES.contains(&self.fps) {
-            let rates = motion::FRAME_RATES.map(|rate| rate.to_string()).join(", ");
-            return refuse("fps", format!("{} is not one of {rates}", self.fps));
-        }
-        let AudioRange {
-            offset_s,
-            duration_s,
-        } = self.range;
-        if !offset_s.is_finite() || offset_s < 0.0 {
-            return refuse(
-                "offset_s",
-                format!("{offset_s} is not a time in seconds from 0 on"),
-            );
-        }
-        match duration_s.filter(|duration| !duration.is_finite() || *duration <= 0.0) {
-            Some(d) => refuse(
-                "duration_s",
-                format!("{d} is not a length in seconds above 0"),
-            ),
-            None => Ok(()),
-        }
+        Ok(())
     }
-}
 
-impl GenerationOptions {
+    fn check_start(&self, vocabulary: Vocabulary) -> Result<(), EngineError> {
+        let code = |start: Option<u32>| start.map(|code| code as usize);
+        let (upper, lower) = (code(self.start_upper), code(self.start_lower));
+        check_between("start_upper", upper, 0, vocabulary.upper - 1)?;
+        check_between("start_lower", lower, 0, vocabulary.lower - 1)
+    }
+
     /// Candidates for every phrase: as many as asked for, else the model's own, as far as `batch` has room
     /// for them; one where they would not differ.
     pub(super) fn candidates(&self, manifest: &Manifest, batch: usize) -> usize {
@@ -188,10 +162,29 @@ impl GenerationOptions {
         } else {
             return Ok(());
         };
-        Err(EngineError::Option {
-            name: "continue_from",
-            problem: problem.into(),
-        })
+        refuse("continue_from", problem.into())
+    }
+}
+
+fn refuse(name: &'static str, problem: String) -> Result<(), EngineError> {
+    Err(EngineError::Option { name, problem })
+}
+
+fn check_range(range: AudioRange) -> Result<(), EngineError> {
+    let AudioRange {
+        offset_s,
+        duration_s,
+    } = range;
+    if !offset_s.is_finite() || offset_s < 0.0 {
+        let problem = format!("{offset_s} is not a time in seconds from 0 on");
+        return refuse("offset_s", problem);
+    }
+    match duration_s.filter(|duration| !duration.is_finite() || *duration <= 0.0) {
+        Some(d) => refuse(
+            "duration_s",
+            format!("{d} is not a length in seconds above 0"),
+        ),
+        None => Ok(()),
     }
 }
 
@@ -202,10 +195,10 @@ fn check_between(
     highest: usize,
 ) -> Result<(), EngineError> {
     match value.filter(|value| !(lowest..=highest).contains(value)) {
-        Some(value) => Err(EngineError::Option {
+        Some(value) => refuse(
             name,
-            problem: format!("{value} is not between {lowest} and {highest}"),
-        }),
+            format!("{value} is not between {lowest} and {highest}"),
+        ),
         None => Ok(()),
     }
 }

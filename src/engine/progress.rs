@@ -1,5 +1,7 @@
 //! How far a generation has come, and what there is of it already.
 
+use std::time::{Duration, Instant};
+
 use ndarray::Array2;
 
 use crate::{
@@ -65,4 +67,12 @@ pub struct Opening {
     pub warnings: Vec<String>,
     /// Makes a dance of the decoded motion.
     pub finisher: Finisher,
+}
+
+/// Measures a stage, in a span of its name.
+pub(super) fn spent<T>(elapsed: &mut Duration, stage: &'static str, work: impl FnOnce() -> T) -> T {
+    let started = Instant::now();
+    let result = tracing::info_span!("stage", otel.name = stage).in_scope(work);
+    *elapsed = started.elapsed();
+    result
 }

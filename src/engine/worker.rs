@@ -22,6 +22,9 @@ use super::{
 };
 use crate::{CancelToken, Result, format::Codes, model::ModelDirectory};
 
+/// Codes that lead into a dance that goes on from another.
+pub(crate) const LEAD_IN: usize = 1;
+
 /// One request's work for the model.
 pub(crate) struct Job {
     /// Music rows `[rows, columns]`.
@@ -61,7 +64,7 @@ impl Job {
 
     /// Number of codes that lead in, if the dance goes on from another.
     pub(crate) fn lead_in(&self) -> Option<usize> {
-        (!self.history.upper.is_empty()).then_some(1)
+        (!self.history.upper.is_empty()).then_some(LEAD_IN)
     }
 
     /// Dances that are computed side by side for it.

@@ -132,7 +132,7 @@ pub struct MusicJson<'a> {
 #[derive(Clone, Copy, Debug, Serialize, ToSchema)]
 #[schema(as = Timings)]
 pub struct TimingsJson {
-    /// Waiting for the model.
+    /// Waiting in line, then for the model.
     queue: f64,
     /// Decoding and resampling the audio.
     decode: f64,

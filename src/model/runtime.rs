@@ -2,11 +2,12 @@
 
 use std::{
     env::{self, consts},
+    error::Error,
     path::{Path, PathBuf},
     sync::{Arc, OnceLock},
 };
 
-use ort::{environment::Environment, logging::LogLevel};
+use ort::{LoadDynamicError, environment::Environment, logging::LogLevel};
 
 use super::ModelError;
 
@@ -29,12 +30,36 @@ fn load() -> Result<Environment, String> {
     let library = find_library()?;
     // `init_from` first: ort's lazy path panics when the library is missing.
     ort::environment::init_from(&library)
-        .map_err(|e| e.to_string())?
+        .map_err(|error| not_loaded(&library, &error))?
         .with_name("bailando")
         .with_telemetry(false)
         .with_logger(Arc::new(log))
         .build()
         .map_err(|e| e.to_string())
+}
+
+/// Why the library was not loaded, and what to do where the system's loader, asked for the bare name, has not
+/// found it either.
+fn not_loaded(library: &Path, error: &LoadDynamicError) -> String {
+    let LoadDynamicError::Dlopen { error, .. } = error else {
+        return error.to_string();
+    };
+    // The error itself only says that it is one.
+    let reason = error.source().map(ToString::to_string);
+    let reason = reason.unwrap_or_else(|| error.to_string());
+    match library == Path::new(&file_name()) {
+        true => not_found(&reason),
+        false => reason,
+    }
+}
+
+fn not_found(reason: &str) -> String {
+    format!(
+        "{} was not found beside the executable, in {PROJECT_FOLDER} or in the system's library \
+         folders ({reason}): run `make setup` (or scripts/fetch-onnxruntime.sh), or set \
+         {LIBRARY_VARIABLE} to the file",
+        file_name()
+    )
 }
 
 /// ONNX Runtime's own messages go where ours go. What it calls an error comes back to the caller
@@ -47,10 +72,13 @@ fn log(level: LogLevel, _category: &str, _id: &str, _place: &str, message: &str)
     }
 }
 
-/// The library to load: the variable, else beside the executable, else the project's folder (of
-/// the executable's or the working directory's ancestors), else the system's.
+fn file_name() -> String {
+    format!("{}onnxruntime{}", consts::DLL_PREFIX, consts::DLL_SUFFIX)
+}
+
+/// The library to load: the variable, else the first of [`places`], else the bare name, which the loader looks
+/// for in the system's library folders.
 fn find_library() -> Result<PathBuf, String> {
-    let file = format!("{}onnxruntime{}", consts::DLL_PREFIX, consts::DLL_SUFFIX);
     if let Some(chosen) = env::var_os(LIBRARY_VARIABLE).map(PathBuf::from) {
         return match chosen.is_file() {
             true => Ok(chosen),
@@ -60,25 +88,46 @@ fn find_library() -> Result<PathBuf, String> {
             )),
         };
     }
-    let executable_folder = env::current_exe()
-        .ok()
-        .and_then(|path| path.parent().map(Path::to_path_buf));
-    let beside = executable_folder.iter().map(|folder| folder.join(&file));
-    let project = [env::current_dir().ok(), executable_folder.clone()];
-    let project = project.iter().flatten().flat_map(|start| {
-        start
-            .ancestors()
-            .map(|folder| folder.join(PROJECT_FOLDER).join(&file))
-            .collect::<Vec<_>>()
-    });
-    let system = ["/usr/local/lib", "/usr/lib"]
-        .iter()
-        .map(|folder| Path::new(folder).join(&file));
-    beside.chain(project).chain(system).find(|path| path.is_file()).ok_or_else(|| {
-        format!(
-            "{file} was not found beside the executable, in {PROJECT_FOLDER} or in the system's \
-             library folders: run `make setup` (or scripts/fetch-onnxruntime.sh), or set \
-             {LIBRARY_VARIABLE} to the file"
-        )
-    })
+    let executable = env::current_exe().ok();
+    let found = places(executable.as_deref(), env::current_dir().ok().as_deref())
+        .into_iter()
+        .find(|path| path.is_file());
+    match found {
+        Some(path) => Ok(path),
+        // Where a bare name is to be loaded, ort looks beside the executable, and panics without.
+        None if executable.is_none() => Err(not_found("the executable's folder is unknown")),
+        None => Ok(file_name().into()),
+    }
+}
+
+/// Beside the executable, then the project's folder: that of any folder that the executable lies in, or of the
+/// working directory. Not of what the working directory lies in: anybody may put a library into `/tmp`.
+fn places(executable: Option<&Path>, working_directory: Option<&Path>) -> Vec<PathBuf> {
+    let folder = executable.and_then(Path::parent);
+    let around = folder.into_iter().flat_map(Path::ancestors);
+    let projects = around.chain(working_directory);
+    let folders = projects.map(|project| project.join(PROJECT_FOLDER));
+    let folders = folder.map(Path::to_path_buf).into_iter().chain(folders);
+    folders.map(|folder| folder.join(file_name())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_library_is_looked_for_around_the_executable_but_not_around_the_working_directory() {
+        let executable = Path::new("/project/target/release/bailando");
+        let found = places(Some(executable), Some(Path::new("/tmp/songs")));
+        let expected = [
+            "/project/target/release",
+            "/project/target/release/.onnxruntime/lib",
+            "/project/target/.onnxruntime/lib",
+            "/project/.onnxruntime/lib",
+            "/.onnxruntime/lib",
+            "/tmp/songs/.onnxruntime/lib",
+        ];
+        let expected = expected.map(|folder| Path::new(folder).join(file_name()));
+        assert_eq!(found, expected);
+    }
 }

@@ -59,8 +59,7 @@ pub fn dance_beats(speed: &[f64]) -> Vec<usize> {
         .collect()
 }
 
-/// A curve by frame after the Gaussian smoothing that beats are found with; beyond the ends the curve is mirrored, its last value repeated
-/// (half-sample symmetric).
+/// Gaussian smoothing as used for finding beats; the ends are mirrored (half-sample symmetric).
 #[must_use]
 pub fn smoothed(curve: &[f64]) -> Vec<f64> {
     let length = curve.len();

@@ -16,7 +16,7 @@ use governor::{Quota, RateLimiter, clock::Clock, state::keyed::HashMapStateStore
 
 use super::{
     body::IncomingBody,
-    config::{ApiKey, Limits, Seconds},
+    config::{ApiKey, Limits, Origin, Seconds},
     error::ServerError,
     state::SharedState,
 };
@@ -30,7 +30,7 @@ pub struct Access {
     /// Keys that callers must send one of; without any, everybody may call.
     pub keys: Vec<ApiKey>,
     /// Origins whose pages may call (CORS); `*` for all.
-    pub origins: Vec<String>,
+    pub origins: Vec<Origin>,
 }
 
 /// Address of the peer, which the connection puts beside every request.
@@ -118,9 +118,11 @@ fn let_in(state: &SharedState, request: &Request) -> Result<Client, ServerError>
     client
 }
 
-/// The peer's address; of IPv6 the network, as one host has all of it.
+/// The peer's address; of IPv6 the network, as one host has all of it. A listener on `::` sees IPv4 peers as
+/// mapped addresses, all of one network.
 fn address(request: &Request) -> Client {
-    match request.extensions().get::<Peer>().map(|peer| peer.0.ip()) {
+    let peer = request.extensions().get::<Peer>();
+    match peer.map(|peer| peer.0.ip().to_canonical()) {
         None => Client::Unknown,
         Some(IpAddr::V6(address)) => {
             let network = address.to_bits() >> 64 << 64;
@@ -187,6 +189,21 @@ mod tests {
             identify(&[], &request("x-api-key", "any")).unwrap(),
             Client::Unknown
         );
+    }
+
+    #[test]
+    fn addresses_are_told_apart_as_hosts_have_them() {
+        let from = |peer: &str| {
+            let mut request = request("accept", "*/*");
+            let peer = SocketAddr::new(peer.parse().unwrap(), 5000);
+            request.extensions_mut().insert(Peer(peer));
+            address(&request)
+        };
+        assert_ne!(from("192.0.2.1"), from("192.0.2.2"));
+        assert_eq!(from("192.0.2.1"), from("::ffff:192.0.2.1"));
+        assert_ne!(from("::ffff:192.0.2.1"), from("::ffff:192.0.2.2"));
+        assert_eq!(from("2001:db8::1"), from("2001:db8::2:3"));
+        assert_ne!(from("2001:db8::1"), from("2001:db8:0:1::1"));
     }
 
     #[test]

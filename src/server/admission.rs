@@ -66,18 +66,12 @@ impl Admission {
     /// # Errors
     /// [`ServerError::QueueFull`] when as many wait already as may.
     pub(crate) async fn admit(self: &Arc<Self>) -> Result<Permit, ServerError> {
-        let asked = Instant::now();
-        if let Ok(slot) = Arc::clone(&self.slots).try_acquire_owned() {
-            return Ok(self.permit(slot, asked));
+        if let Some(permit) = self.admit_now() {
+            return Ok(permit);
         }
-        let place = self.wait_in_line()?;
+        let _place = self.wait_in_line()?;
         let _waiting = Counted::new(&self.metrics.queue_waiting);
-        let slot = Arc::clone(&self.slots)
-            .acquire_owned()
-            .await
-            .map_err(|closed| ServerError::Internal(closed.to_string()))?;
-        drop(place);
-        Ok(self.permit(slot, asked))
+        self.admit_patient().await
     }
 
     /// [`Self::admit`], in a span of its own.
@@ -91,20 +85,25 @@ impl Admission {
     /// # Errors
     /// None that is known; the semaphore is never closed.
     pub(crate) async fn admit_patient(self: &Arc<Self>) -> Result<Permit, ServerError> {
+        if let Some(permit) = self.admit_now() {
+            return Ok(permit);
+        }
         let asked = Instant::now();
-        let slot = Arc::clone(&self.slots)
-            .acquire_owned()
-            .await
-            .map_err(|closed| ServerError::Internal(closed.to_string()))?;
-        Ok(self.permit(slot, asked))
+        let slot = Arc::clone(&self.slots).acquire_owned().await?;
+        Ok(self.permit(slot, asked.elapsed()))
     }
 
-    fn permit(self: &Arc<Self>, slot: OwnedSemaphorePermit, asked: Instant) -> Permit {
-        self.metrics.waited(asked.elapsed());
+    fn admit_now(self: &Arc<Self>) -> Option<Permit> {
+        let slot = Arc::clone(&self.slots).try_acquire_owned().ok()?;
+        Some(self.permit(slot, Duration::ZERO))
+    }
+
+    fn permit(self: &Arc<Self>, slot: OwnedSemaphorePermit, waited: Duration) -> Permit {
+        self.metrics.waited(waited);
         Permit {
             _running: Counted::new(&self.metrics.running),
             admission: Arc::clone(self),
-            waited: asked.elapsed(),
+            waited,
             since: Instant::now(),
             _slot: slot,
         }

@@ -4,6 +4,7 @@
 use std::{
     error::Error,
     pin::Pin,
+    sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
 };
@@ -13,6 +14,8 @@ use bytes::Bytes;
 use futures_util::Stream;
 use http_body_util::BodyExt;
 use tower_http::timeout::{DeadlineBody, TimeoutBody, TimeoutError};
+
+use super::{config::Seconds, uploads::Held};
 
 /// How much of an unwanted body is still read, and for how long, so that its sender gets to see the
 /// answer: closing a connection with unread bytes resets it, and the answer is lost.
@@ -26,6 +29,10 @@ pub(crate) enum BodyError {
     TooLarge,
     #[error("the body was not sent in time")]
     TooSlow,
+    #[error("uploads take all of the memory for them")]
+    NoRoom { retry_after: Seconds },
+    #[error("too much of the form is no part's")]
+    FormOverhead,
     #[error("the body broke off: {0}")]
     Broken(axum::Error),
 }
@@ -38,7 +45,7 @@ pub(crate) struct IncomingBody {
     declared: Option<u64>,
     left: u64,
     ended: bool,
-    pause: bool,
+    held: Option<Arc<Held>>,
 }
 
 impl IncomingBody {
@@ -49,7 +56,7 @@ impl IncomingBody {
             body,
             left: u64::MAX,
             ended,
-            pause: false,
+            held: None,
         }
     }
 
@@ -70,20 +77,26 @@ impl IncomingBody {
         self.left = most;
         self
     }
+
+    /// Counts what comes among `held`, and ends with [`BodyError::NoRoom`] where there is none.
+    pub(crate) fn counted(mut self, held: Arc<Held>) -> Self {
+        self.held = Some(held);
+        self
+    }
+
+    fn take_in(&mut self, bytes: usize) -> Result<(), BodyError> {
+        let left = self.left.checked_sub(bytes as u64);
+        self.left = left.ok_or(BodyError::TooLarge)?;
+        self.held.as_ref().map_or(Ok(()), |held| held.more(bytes))
+    }
 }
 
 impl Stream for IncomingBody {
     type Item = Result<Bytes, BodyError>;
 
-    /// One chunk at a time: the form's parser takes all that is ready before it looks at any of
-    /// it, and would so take in a whole body that is refused at its first bytes.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
         if self.ended {
             return Poll::Ready(None);
-        }
-        if std::mem::take(&mut self.pause) {
-            context.waker().wake_by_ref();
-            return Poll::Pending;
         }
         loop {
             match ready!(Pin::new(&mut self.body).poll_frame(context)) {
@@ -95,17 +108,11 @@ impl Stream for IncomingBody {
                     self.ended = true;
                     return Poll::Ready(Some(Err(explain(error))));
                 }
+                // Trailers say nothing about audio.
                 Some(Ok(frame)) => {
-                    // Trailers say nothing about audio.
-                    let Ok(data) = frame.into_data() else {
-                        continue;
-                    };
-                    let Some(left) = self.left.checked_sub(data.len() as u64) else {
-                        return Poll::Ready(Some(Err(BodyError::TooLarge)));
-                    };
-                    self.left = left;
-                    self.pause = true;
-                    return Poll::Ready(Some(Ok(data)));
+                    if let Ok(data) = frame.into_data() {
+                        return Poll::Ready(Some(self.take_in(data.len()).map(|()| data)));
+                    }
                 }
             }
         }

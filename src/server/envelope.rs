@@ -152,9 +152,9 @@ pub(crate) fn panic_text(panic: &(dyn Any + Send)) -> &str {
         .unwrap_or("without a message")
 }
 
-/// Milliseconds, to the microsecond.
+/// Milliseconds, to the microsecond, as the JSON of a dance has them.
 pub(crate) fn milliseconds(time: Duration) -> f64 {
-    (time.as_secs_f64() * 1e6).round() / 1e3
+    time.as_micros() as f64 / 1e3
 }
 
 /// A time as the value of an `x-..-time` header.

@@ -7,6 +7,7 @@ use axum::{
     response::IntoResponse,
 };
 use serde::Serialize;
+use tokio::sync::AcquireError;
 use utoipa::ToSchema;
 
 use super::config::{ByteSize, Seconds};
@@ -119,12 +120,28 @@ pub(crate) enum ServerError {
     #[error("the server failed: {0}")]
     Internal(String),
     #[error(transparent)]
-    Dance(#[from] Error),
+    Dance(Error),
+}
+
+impl From<Error> for ServerError {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Engine(EngineError::Stopped) => Self::ModelStopped,
+            other => Self::Dance(other),
+        }
+    }
 }
 
 impl From<EngineError> for ServerError {
     fn from(error: EngineError) -> Self {
-        Self::Dance(error.into())
+        Error::from(error).into()
+    }
+}
+
+/// No semaphore of ours is ever closed.
+impl From<AcquireError> for ServerError {
+    fn from(closed: AcquireError) -> Self {
+        Self::Internal(closed.to_string())
     }
 }
 
@@ -276,16 +293,6 @@ impl ServerError {
         }
     }
 
-    /// The same, with another time for those who have to wait for others' uploads.
-    pub(crate) fn retried_in(mut self, time: Seconds) -> Self {
-        if let Self::TooManyUploads { retry_after, .. } | Self::UploadMemory { retry_after, .. } =
-            &mut self
-        {
-            *retry_after = time;
-        }
-        self
-    }
-
     /// Whether the work itself did not end, so that it must be stopped.
     pub(crate) fn stops_work(&self) -> bool {
         matches!(self, Self::Timeout { .. } | Self::Draining { .. })
@@ -348,4 +355,24 @@ pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response
         HeaderValue::from_static("application/json"),
     );
     Response::from_parts(parts, Body::from(body))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_that_stops_meanwhile_is_told_as_the_probe_tells_it() {
+        let stopped = ServerError::from(Error::from(EngineError::Stopped)).report();
+        let probed = ServerError::ModelStopped.report();
+        assert_eq!(
+            (stopped.status, stopped.error_type, stopped.retry_after),
+            (
+                StatusCode::SERVICE_UNAVAILABLE,
+                "model_stopped",
+                probed.retry_after
+            )
+        );
+        assert!(stopped.retry_after.is_some());
+    }
 }

@@ -49,7 +49,7 @@ pub(crate) async fn receive(
     body: IncomingBody,
 ) -> Result<Order, ServerError> {
     let limits = &state.limits;
-    let engine = &state.loaded()?.engine;
+    let engine = state.engine()?;
     let media = Media::of(&parts.headers)?;
     let options = RequestOptions::from_query(&parts.uri)?;
     engine.check(&options.generation(OutputFormat::Json))?;
@@ -67,7 +67,7 @@ pub(crate) async fn receive(
     let watch = Watch::new(Arc::clone(&state.metrics));
     let presence = Presence::of(&watch);
     let received = async {
-        let mut place = state.uploads.begin()?;
+        let mut place = state.uploads.begin(state.admission.retry_after())?;
         let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
         let upload = upload::receive(parts, body, media, options, limits, &mut place)
             .instrument(tracing::info_span!("stage", otel.name = "upload"))
@@ -84,7 +84,7 @@ pub(crate) async fn receive(
         Ok(received) => received,
         Err(error) => {
             presence.answered();
-            return Err(error.retried_in(state.admission.retry_after()));
+            return Err(error);
         }
     };
     watch.enter(Phase::Queue);
@@ -107,7 +107,7 @@ fn shape(
         Purpose::Dance => Ok(Shape {
             format: match options.format {
                 Some(format) => format,
-                None => negotiate::dance(headers)?,
+                None => negotiate::dance(headers, OutputFormat::default())?,
             },
             lines: false,
         }),

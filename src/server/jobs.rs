@@ -209,7 +209,7 @@ impl JobStore for MemoryStore {
             let Some(oldest) = oldest else {
                 return Err(self.full(&jobs));
             };
-            jobs.remove(&oldest);
+            forget(jobs.remove(&oldest));
         }
         jobs.insert(job.id, job);
         Ok(())
@@ -220,13 +220,17 @@ impl JobStore for MemoryStore {
     }
 
     fn remove(&self, id: Uuid) -> bool {
-        let removed = self.jobs().remove(&id);
-        removed.is_some_and(|job| {
-            job.watch.cancel.cancel();
-            job.deleted.cancel();
-            true
-        })
+        forget(self.jobs().remove(&id))
     }
+}
+
+/// Stops what is still done or held for a job that was taken out; whether there was one.
+fn forget(job: Option<Arc<Job>>) -> bool {
+    job.is_some_and(|job| {
+        job.watch.cancel.cancel();
+        job.deleted.cancel();
+        true
+    })
 }
 
 #[cfg(test)]
@@ -272,6 +276,7 @@ mod tests {
         store.check_room().unwrap();
         store.put(job()).unwrap();
         assert!(store.get(first.id).is_none());
+        assert!(first.deleted.is_cancelled());
     }
 
     #[test]

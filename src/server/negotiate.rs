@@ -18,15 +18,19 @@ pub(crate) const EVENTS: &str = "text/event-stream";
 /// Media type of JSON in lines.
 pub(crate) const LINES: &str = "application/x-ndjson";
 
-/// The format that an `Accept` header prefers (RFC 9110, section 12.5.1); JSON when it has no
+/// The format that an `Accept` header prefers (RFC 9110, section 12.5.1); `otherwise` when it has no
 /// preference.
 ///
 /// # Errors
 /// [`ServerError::NotAcceptable`] when none of ours is accepted.
-pub(crate) fn dance(headers: &HeaderMap) -> Result<OutputFormat, ServerError> {
-    let ours = OutputFormat::ALL.map(OutputFormat::content_type);
-    let best = preferred(headers, &ours)?;
-    Ok(OutputFormat::ALL.get(best).copied().unwrap_or_default())
+pub(crate) fn dance(
+    headers: &HeaderMap,
+    otherwise: OutputFormat,
+) -> Result<OutputFormat, ServerError> {
+    let mut ours = OutputFormat::ALL;
+    ours.sort_by_key(|format| *format != otherwise);
+    let best = preferred(headers, &ours.map(OutputFormat::content_type))?;
+    Ok(ours.get(best).copied().unwrap_or(otherwise))
 }
 
 /// Whether the `Accept` header prefers lines of JSON to server-sent events.
@@ -118,13 +122,16 @@ mod tests {
     fn accept(text: &'static str) -> Option<OutputFormat> {
         let mut headers = HeaderMap::new();
         headers.insert(header::ACCEPT, HeaderValue::from_static(text));
-        dance(&headers).ok()
+        dance(&headers, OutputFormat::Json).ok()
     }
 
     #[test]
     fn the_preferred_type_that_we_have_wins() {
         let bvh = OutputFormat::Bvh.content_type();
-        assert_eq!(dance(&HeaderMap::new()).ok(), Some(OutputFormat::Json));
+        let silent = HeaderMap::new();
+        for otherwise in OutputFormat::ALL {
+            assert_eq!(dance(&silent, otherwise).ok(), Some(otherwise));
+        }
         assert_eq!(accept("*/*"), Some(OutputFormat::Json));
         assert_eq!(accept(""), Some(OutputFormat::Json));
         assert_eq!(accept("application/json"), Some(OutputFormat::Json));
@@ -136,7 +143,11 @@ mod tests {
         let mut headers = HeaderMap::new();
         let both = format!("application/json;q=0.5, {bvh}");
         headers.insert(header::ACCEPT, both.parse().unwrap());
-        assert_eq!(dance(&headers).ok(), Some(OutputFormat::Bvh));
+        let preferred = dance(&headers, OutputFormat::Json);
+        assert_eq!(preferred.ok(), Some(OutputFormat::Bvh));
+        headers.insert(header::ACCEPT, HeaderValue::from_static("application/*"));
+        let either = dance(&headers, OutputFormat::Bvh);
+        assert_eq!(either.ok(), Some(OutputFormat::Bvh));
     }
 
     #[test]

@@ -10,8 +10,6 @@ use prometheus_client::{
 
 /// Clock ticks a second in `/proc` (Linux fixes it for programs).
 const TICKS: f64 = 100.0;
-/// Bytes of a page, as `/proc/self/statm` counts: 4 KiB wherever this service is built for.
-const PAGE: f64 = 4096.0;
 
 /// Reads `/proc` at every scrape; without it nothing is reported.
 #[derive(Debug)]
@@ -65,6 +63,15 @@ impl Collector for ProcessCollector {
     }
 }
 
+/// What `/proc/self/status` says of the process' memory under `name`, in a unit that does not depend on the
+/// size of a page.
+pub(crate) fn memory_bytes(name: &str) -> Option<u64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with(name))?;
+    let kibibytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(1024 * kibibytes)
+}
+
 fn read() -> Option<Figures> {
     let stat = fs::read_to_string("/proc/self/stat").ok()?;
     // The name in parentheses may hold spaces.
@@ -75,8 +82,6 @@ fn read() -> Option<Figures> {
         .collect();
     // Numbered as in proc_pid_stat(5), which counts the two before.
     let field = |number: usize| fields.get(number - 3).copied();
-    let pages = fs::read_to_string("/proc/self/statm").ok()?;
-    let resident: f64 = pages.split_whitespace().nth(1)?.parse().ok()?;
     let uptime = fs::read_to_string("/proc/uptime").ok()?;
     let uptime: f64 = uptime.split_whitespace().next()?.parse().ok()?;
     let now = SystemTime::now()
@@ -85,7 +90,7 @@ fn read() -> Option<Figures> {
         .as_secs_f64();
     Some(Figures {
         cpu_seconds: (field(14)? + field(15)?) / TICKS,
-        resident_bytes: resident * PAGE,
+        resident_bytes: memory_bytes("VmRSS:")? as f64,
         open_fds: fs::read_dir("/proc/self/fd").ok()?.count() as f64,
         threads: field(20)?,
         started: now - uptime + field(22)? / TICKS,

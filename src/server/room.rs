@@ -39,10 +39,7 @@ impl Room {
     /// None that is known; semaphores are never closed here.
     pub(crate) async fn share(&self, units: u64) -> Result<Share, ServerError> {
         let units = u32::try_from(units).unwrap_or(u32::MAX).min(self.all);
-        let permit = Arc::clone(&self.units)
-            .acquire_many_owned(units)
-            .await
-            .map_err(|closed| ServerError::Internal(closed.to_string()))?;
+        let permit = Arc::clone(&self.units).acquire_many_owned(units).await?;
         if let Some(gauge) = &self.gauge {
             gauge.inc_by(i64::from(units));
         }

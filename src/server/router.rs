@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::{
     Router,
     extract::Request,
-    http::{HeaderValue, Method, StatusCode, Uri},
+    http::{Method, StatusCode, Uri},
     middleware,
     response::{IntoResponse, Response},
 };
@@ -14,7 +14,7 @@ use utoipa_swagger_ui::SwaggerUi;
 
 use super::{
     access::{self, Access},
-    config::Limits,
+    config::{Limits, Origin},
     envelope,
     error::ServerError,
     metrics::SharedMetrics,
@@ -52,18 +52,13 @@ pub(crate) fn router_with(state: SharedState) -> Router {
 }
 
 /// Lets pages of these origins call, and read what an answer's head says.
-fn cors(origins: &[String]) -> Option<CorsLayer> {
-    let allowed: Vec<HeaderValue> = origins
-        .iter()
-        .filter_map(|origin| HeaderValue::from_str(origin.trim()).ok())
-        .filter(|origin| !origin.is_empty())
-        .collect();
-    if allowed.is_empty() {
+fn cors(origins: &[Origin]) -> Option<CorsLayer> {
+    if origins.is_empty() {
         return None;
     }
-    let allowed = match allowed.iter().any(|origin| origin == "*") {
+    let allowed = match origins.iter().any(Origin::is_any) {
         true => AllowOrigin::any(),
-        false => AllowOrigin::list(allowed),
+        false => AllowOrigin::list(origins.iter().map(Origin::header)),
     };
     let layer = CorsLayer::new()
         .allow_origin(allowed)

@@ -1,6 +1,6 @@
 //! Starting, listening, and stopping in good order.
 
-use std::{future::Future, io, pin::pin, sync::Arc, time::Duration};
+use std::{future::Future, io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
 
 use futures_util::{Stream, StreamExt, stream};
 use tokio::net::TcpListener;
@@ -11,7 +11,7 @@ use super::{
     connection,
     metrics::{Metrics, SharedMetrics},
     router::router_with,
-    state::{Generate, ServerState},
+    state::{Generate, ServerState, SharedState},
     stop::Signals,
 };
 use crate::engine::{Choreographer, EngineConfig};
@@ -95,11 +95,11 @@ pub struct Service {
 /// Until `load` has completed, `/health` is answered 200, and `/ready`, `/info` and generations 503.
 /// From the first item of `stop` on, `/ready` and new generations are answered 503. The listener
 /// stays open while requests are under way, so that probes see that; then it closes. A second item
-/// ends everything at once.
+/// ends everything at once. A model that stops for good is an end in good order too, as far as it goes.
 ///
 /// # Errors
-/// What `load` fails with; [`ServeError::DrainTimeout`] or [`ServeError::Hurried`] when requests had
-/// to be cut off.
+/// What `load` fails with; [`ServeError::ModelStopped`]; [`ServeError::DrainTimeout`] or
+/// [`ServeError::Hurried`] when requests had to be cut off.
 pub async fn run(
     service: Service,
     load: impl Future<Output = Result<Arc<dyn Generate>, ServeError>>,
@@ -112,9 +112,7 @@ pub async fn run(
         access,
         metrics,
     } = service;
-    let timeout = limits.shutdown_timeout;
-    let state = ServerState::loading(limits.clone(), access, Arc::clone(&metrics));
-    let lifecycle = &state.lifecycle;
+    let state = ServerState::loading(limits, access, metrics);
     // A stream that ends tells nothing more.
     let mut stop = pin!(stop.chain(stream::pending()));
     let idle = {
@@ -125,24 +123,49 @@ pub async fn run(
         }
     };
     let router = router_with(Arc::clone(&state));
-    let server = connection::serve(listener, router, &limits, metrics, idle);
+    let metrics = Arc::clone(&state.metrics);
+    let server = connection::serve(listener, router, &state.limits, metrics, idle);
     let mut server = pin!(server);
-    let load_and_go_on = async {
-        let engine = load.await?;
-        tracing::info!(%address, model = engine.manifest().name, "listening");
-        state.finish_loading(Arc::clone(&engine));
-        while engine.is_alive() {
-            tokio::time::sleep(LOOK_AFTER_MODEL).await;
-        }
-        // Nothing here can start it again; whoever looks after the process can.
-        Err::<(), _>(ServeError::ModelStopped)
-    };
-    tokio::select! {
+    let ended = tokio::select! {
         () = &mut server => return Ok(()),
-        failed = load_and_go_on => return failed,
-        _ = stop.next() => {}
+        // Nothing here can start the model again; whoever looks after the process can.
+        failed = load_and_look_after(&state, load, address) => Err(failed),
+        _ = stop.next() => {
+            tracing::info!(under_way = state.lifecycle.under_way(), "shutting down");
+            Ok(())
+        }
+    };
+    let drained = drain(&state, server, stop).await;
+    ended.and(drained)
+}
+
+/// Loads the model, and says how it failed or that it has stopped.
+async fn load_and_look_after(
+    state: &SharedState,
+    load: impl Future<Output = Result<Arc<dyn Generate>, ServeError>>,
+    address: SocketAddr,
+) -> ServeError {
+    let engine = match load.await {
+        Ok(engine) => engine,
+        Err(failed) => return failed,
+    };
+    tracing::info!(%address, model = engine.manifest().name, "listening");
+    state.finish_loading(Arc::clone(&engine));
+    while engine.is_alive() {
+        tokio::time::sleep(LOOK_AFTER_MODEL).await;
     }
-    tracing::info!(under_way = lifecycle.under_way(), "shutting down");
+    tracing::error!("the model has stopped: no more requests are taken");
+    ServeError::ModelStopped
+}
+
+/// Takes no more requests, and waits until those under way have ended, for as long as they may.
+async fn drain(
+    state: &SharedState,
+    mut server: impl Future<Output = ()> + Unpin,
+    mut stop: impl Stream<Item = ()> + Unpin,
+) -> Result<(), ServeError> {
+    let lifecycle = &state.lifecycle;
+    let timeout = state.limits.shutdown_timeout;
     lifecycle.drain();
     let closed = async {
         lifecycle.idle().await;

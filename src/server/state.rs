@@ -122,7 +122,7 @@ impl Generate for Choreographer {
     }
 }
 
-/// How long an answer waits for others to be taken.
+/// How long an answer waits for others to be taken, where there is time for twice that.
 const WAIT_FOR_ROOM: Duration = Duration::from_secs(10);
 
 /// When to ask again while the model is loaded: it takes a few seconds.
@@ -196,6 +196,16 @@ impl ServerState {
         })
     }
 
+    /// # Errors
+    /// [`ServerError::Loading`], and [`ServerError::ModelStopped`] where no dance can come about any more.
+    pub(crate) fn engine(&self) -> Result<&Arc<dyn Generate>, ServerError> {
+        let engine = &self.loaded()?.engine;
+        match engine.is_alive() {
+            true => Ok(engine),
+            false => Err(ServerError::ModelStopped),
+        }
+    }
+
     /// What `work` comes to, unless the time for it is over or the server gives up first.
     pub(crate) async fn in_time<T>(
         &self,
@@ -212,7 +222,9 @@ impl ServerState {
     /// Room for an answer, which is not waited for long: whoever waits keeps a place to work in.
     pub(crate) async fn room(&self, bytes: usize) -> Result<Share, ServerError> {
         let share = self.answers.share(bytes as u64);
-        let in_time = tokio::time::timeout(WAIT_FOR_ROOM, share).await;
+        // Within the time that there is: who waits for longer is not told why.
+        let most = WAIT_FOR_ROOM.min(self.limits.request_timeout.0 / 2);
+        let in_time = tokio::time::timeout(most, share).await;
         in_time.unwrap_or_else(|_| {
             Err(ServerError::AnswerMemory {
                 memory: self.limits.answer_memory,

@@ -6,19 +6,17 @@ use axum::{
     http::request::Parts,
 };
 use bytes::{Bytes, BytesMut};
-use futures_util::{Stream, StreamExt};
+use futures_util::{Stream, StreamExt, TryStreamExt};
 
 use super::{
     body::{BodyError, IncomingBody},
     config::{ByteSize, Limits},
     error::ServerError,
+    form::{self, FormBody, Kept},
     media::{Media, is_lossless},
     options::{LONGEST_VALUE, RequestOptions, shorten},
     uploads::UploadPermit,
 };
-
-/// What a form may hold beside the audio: boundaries, part headers, option values.
-const FORM_OVERHEAD: u64 = 64 * 1024;
 
 /// A request that has arrived completely.
 pub(crate) struct Upload {
@@ -54,17 +52,19 @@ pub(crate) async fn receive(
     limits: &Limits,
     permit: &mut UploadPermit,
 ) -> Result<Upload, ServerError> {
-    let body = body.limited(most_bytes(media, limits));
+    let body = body
+        .limited(most_bytes(media, limits))
+        .counted(permit.held());
     let upload = match media {
         Media::Raw => {
-            let mut audio = AudioBuffer::new(limits, permit, body.declared());
+            let mut audio = AudioBuffer::new(limits, body.declared());
             collect(&mut audio, body, |error| body_error(&error, limits)).await?;
             Upload {
                 audio: audio.finish(),
                 options,
             }
         }
-        Media::Form => receive_form(parts, body, options, limits, permit).await?,
+        Media::Form => receive_form(parts, body, options, limits).await?,
     };
     permit.received();
     if upload.audio.is_empty() {
@@ -74,10 +74,9 @@ pub(crate) async fn receive(
 }
 
 fn most_bytes(media: Media, limits: &Limits) -> u64 {
-    let largest = limits.payload_limit.max(limits.payload_limit_lossless).0;
     match media {
-        Media::Raw => largest,
-        Media::Form => largest.saturating_add(FORM_OVERHEAD),
+        Media::Raw => limits.largest_file().0,
+        Media::Form => limits.largest_body().0,
     }
 }
 
@@ -86,8 +85,9 @@ async fn receive_form(
     body: IncomingBody,
     mut options: RequestOptions,
     limits: &Limits,
-    permit: &mut UploadPermit,
 ) -> Result<Upload, ServerError> {
+    let body = FormBody::new(body);
+    let kept = body.kept();
     let mut request = Request::from_parts(parts, Body::from_stream(body));
     // Our own limits are larger than the framework's default of 2 MB, and finer.
     DefaultBodyLimit::disable().apply(&mut request);
@@ -100,6 +100,7 @@ async fn receive_form(
         .await
         .map_err(|error| form_error(&error, limits))?
     {
+        kept.delivered(0);
         let name = field.name().unwrap_or_default().to_owned();
         if name == "file" {
             if audio.is_some() {
@@ -107,11 +108,12 @@ async fn receive_form(
                     "part `file` was sent more than once: send one song".to_owned(),
                 ));
             }
-            let mut buffer = AudioBuffer::new(limits, permit, None);
+            let mut buffer = AudioBuffer::new(limits, None);
+            let field = field.inspect_ok(|chunk| kept.delivered(chunk.len()));
             collect(&mut buffer, field, |error| form_error(&error, limits)).await?;
             audio = Some(buffer.finish());
         } else {
-            let value = read_value(field, limits).await?;
+            let value = read_value(field, &kept, limits).await?;
             options.set(&name, &value)?;
         }
     }
@@ -122,7 +124,11 @@ async fn receive_form(
 }
 
 /// The value of an option; one that is too long to be any is cut, and refused by its parser.
-async fn read_value(mut field: Field<'_>, limits: &Limits) -> Result<String, ServerError> {
+async fn read_value(
+    mut field: Field<'_>,
+    kept: &Kept,
+    limits: &Limits,
+) -> Result<String, ServerError> {
     let mut value = Vec::new();
     while value.len() <= LONGEST_VALUE
         && let Some(chunk) = field
@@ -130,6 +136,7 @@ async fn read_value(mut field: Field<'_>, limits: &Limits) -> Result<String, Ser
             .await
             .map_err(|error| form_error(&error, limits))?
     {
+        kept.delivered(chunk.len());
         let room = (LONGEST_VALUE + 1).saturating_sub(value.len());
         value.extend(chunk.iter().take(room));
     }
@@ -150,7 +157,6 @@ async fn collect<E>(
 /// Collects audio up to the limit that its first bytes give it.
 struct AudioBuffer<'a> {
     bytes: BytesMut,
-    permit: &'a mut UploadPermit,
     // Believed only where it is too large: nothing is reserved for it.
     declared: u64,
     limits: &'a Limits,
@@ -160,9 +166,8 @@ impl<'a> AudioBuffer<'a> {
     /// Bytes that tell wav and flac.
     const PREFIX: usize = 12;
 
-    fn new(limits: &'a Limits, permit: &'a mut UploadPermit, declared: Option<u64>) -> Self {
+    fn new(limits: &'a Limits, declared: Option<u64>) -> Self {
         Self {
-            permit,
             bytes: BytesMut::new(),
             declared: declared.unwrap_or_default(),
             limits,
@@ -175,7 +180,6 @@ impl<'a> AudioBuffer<'a> {
         if total.max(self.declared) > limit.0 {
             return Err(too_large(limit, self.limits));
         }
-        self.permit.hold(chunk.len())?;
         self.bytes.extend_from_slice(chunk);
         Ok(())
     }
@@ -215,6 +219,14 @@ fn body_error(error: &BodyError, limits: &Limits) -> ServerError {
             idle: limits.body_idle_timeout,
             total: limits.body_timeout,
         },
+        BodyError::NoRoom { retry_after } => ServerError::UploadMemory {
+            memory: limits.upload_memory,
+            retry_after: *retry_after,
+        },
+        BodyError::FormOverhead => ServerError::Multipart(format!(
+            "the form holds more than {} beside what its parts carry",
+            ByteSize(form::OVERHEAD)
+        )),
         BodyError::Broken(_) => ServerError::UploadBroken,
     }
 }

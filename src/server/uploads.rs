@@ -1,18 +1,16 @@
 //! Bodies on their way: how many at once, and how many bytes of them are held.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use prometheus_client::metrics::gauge::Gauge;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::{
+    body::BodyError,
     config::{ByteSize, Limits, Seconds},
     error::ServerError,
     metrics::{Counted, SharedMetrics},
 };
-
-/// When to ask again: an upload takes seconds.
-const RETRY: Seconds = Seconds::new(2);
 
 /// A bounded number of bodies, and of bytes of them.
 #[derive(Debug)]
@@ -39,31 +37,30 @@ impl Uploads {
         }
     }
 
-    /// A place for one body, which is taken before anything of it is read (RELIABILITY, defence 2).
+    /// A place for one body, which is taken before anything of it is read (RELIABILITY, defence 2). Whoever
+    /// finds no room, now or later, may ask again after `retry_after`.
     ///
     /// # Errors
     /// [`ServerError::TooManyUploads`].
-    pub(crate) fn begin(&self) -> Result<UploadPermit, ServerError> {
-        let place = Arc::clone(&self.places).try_acquire_owned();
+    pub(crate) fn begin(&self, retry_after: Seconds) -> Result<UploadPermit, ServerError> {
+        let place = Arc::clone(&self.places).try_acquire_owned().map_err(|_| {
+            ServerError::TooManyUploads {
+                most: self.most,
+                retry_after,
+            }
+        })?;
         Ok(UploadPermit {
-            place: Some((
-                place.map_err(|_| ServerError::TooManyUploads {
-                    most: self.most,
-                    retry_after: RETRY,
-                })?,
-                Counted::new(&self.metrics.uploads),
-            )),
-            bytes: Arc::clone(&self.bytes),
-            held: None,
+            place: Some((place, Counted::new(&self.metrics.uploads))),
+            held: Arc::new(Held {
+                all: Arc::clone(&self.bytes),
+                taken: Mutex::new(None),
+                gauge: self.metrics.upload_bytes.clone(),
+                retry_after,
+            }),
             of_job: None,
-            counted: 0,
-            gauge: self.metrics.upload_bytes.clone(),
-            memory: self.memory,
         })
     }
-}
 
-impl Uploads {
     /// Counts what `permit` holds among the uploads of jobs too.
     ///
     /// # Errors
@@ -71,13 +68,13 @@ impl Uploads {
     pub(crate) fn keep_for_job(&self, permit: &mut UploadPermit) -> Result<(), ServerError> {
         // One upload may be larger than that half.
         let half = usize::try_from(self.memory.0 / 2).unwrap_or(usize::MAX);
-        let held = usize::try_from(permit.counted).unwrap_or(0).min(half);
+        let held = permit.held.bytes().min(half);
         let kept = u32::try_from(held)
             .ok()
             .and_then(|held| Arc::clone(&self.of_jobs).try_acquire_many_owned(held).ok());
         permit.of_job = Some(kept.ok_or(ServerError::UploadMemory {
             memory: self.memory,
-            retry_after: RETRY,
+            retry_after: permit.held.retry_after,
         })?);
         Ok(())
     }
@@ -87,34 +84,14 @@ impl Uploads {
 #[derive(Debug)]
 pub(crate) struct UploadPermit {
     place: Option<(OwnedSemaphorePermit, Counted)>,
-    bytes: Arc<Semaphore>,
-    held: Option<OwnedSemaphorePermit>,
+    held: Arc<Held>,
     of_job: Option<OwnedSemaphorePermit>,
-    counted: i64,
-    gauge: Gauge,
-    memory: ByteSize,
 }
 
 impl UploadPermit {
-    /// Room for so many more bytes.
-    ///
-    /// # Errors
-    /// [`ServerError::UploadMemory`].
-    pub(crate) fn hold(&mut self, bytes: usize) -> Result<(), ServerError> {
-        let count = u32::try_from(bytes).unwrap_or(u32::MAX);
-        let more = Arc::clone(&self.bytes)
-            .try_acquire_many_owned(count)
-            .map_err(|_| ServerError::UploadMemory {
-                memory: self.memory,
-                retry_after: RETRY,
-            })?;
-        match &mut self.held {
-            Some(held) => held.merge(more),
-            None => self.held = Some(more),
-        }
-        self.counted += i64::from(count);
-        self.gauge.inc_by(i64::from(count));
-        Ok(())
+    /// The count of what is held of the body.
+    pub(crate) fn held(&self) -> Arc<Held> {
+        Arc::clone(&self.held)
     }
 
     /// The body is here: it is held, but no longer on its way.
@@ -123,9 +100,51 @@ impl UploadPermit {
     }
 }
 
-impl Drop for UploadPermit {
+/// Bytes of one body that are held, among those of all.
+#[derive(Debug)]
+pub(crate) struct Held {
+    all: Arc<Semaphore>,
+    // Held only to add to it or to look at it.
+    taken: Mutex<Option<OwnedSemaphorePermit>>,
+    gauge: Gauge,
+    retry_after: Seconds,
+}
+
+impl Held {
+    fn taken(&self) -> MutexGuard<'_, Option<OwnedSemaphorePermit>> {
+        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Room for so many more bytes.
+    ///
+    /// # Errors
+    /// [`BodyError::NoRoom`].
+    pub(crate) fn more(&self, bytes: usize) -> Result<(), BodyError> {
+        let count = u32::try_from(bytes).unwrap_or(u32::MAX);
+        let more = Arc::clone(&self.all).try_acquire_many_owned(count);
+        let more = more.map_err(|_| BodyError::NoRoom {
+            retry_after: self.retry_after,
+        })?;
+        self.gauge.inc_by(i64::from(count));
+        let mut taken = self.taken();
+        match &mut *taken {
+            Some(taken) => taken.merge(more),
+            None => *taken = Some(more),
+        }
+        Ok(())
+    }
+
+    fn bytes(&self) -> usize {
+        self.taken()
+            .as_ref()
+            .map_or(0, OwnedSemaphorePermit::num_permits)
+    }
+}
+
+impl Drop for Held {
     fn drop(&mut self) {
-        self.gauge.dec_by(self.counted);
+        self.gauge
+            .dec_by(i64::try_from(self.bytes()).unwrap_or(i64::MAX));
     }
 }
 
@@ -145,18 +164,19 @@ mod tests {
             ..Limits::default()
         };
         let uploads = Uploads::new(&limits, Arc::clone(&metrics));
-        let mut first = uploads.begin().unwrap();
+        let soon = Seconds::new(2);
+        let mut first = uploads.begin(soon).unwrap();
         assert!(matches!(
-            uploads.begin(),
-            Err(ServerError::TooManyUploads { most: 1, .. })
+            uploads.begin(soon),
+            Err(ServerError::TooManyUploads { most: 1, retry_after }) if retry_after == soon
         ));
-        first.hold(60).unwrap();
+        first.held().more(60).unwrap();
         first.received();
-        let mut second = uploads.begin().unwrap();
-        second.hold(40).unwrap();
+        let mut second = uploads.begin(soon).unwrap();
+        second.held().more(40).unwrap();
         assert!(matches!(
-            second.hold(1),
-            Err(ServerError::UploadMemory { .. })
+            second.held().more(1),
+            Err(BodyError::NoRoom { retry_after }) if retry_after == soon
         ));
         assert_eq!(
             (metrics.uploads.get(), metrics.upload_bytes.get()),
@@ -166,11 +186,11 @@ mod tests {
         assert!(uploads.keep_for_job(&mut first).is_ok());
         assert!(matches!(
             uploads.keep_for_job(&mut second),
-            Err(ServerError::UploadMemory { .. })
+            Err(ServerError::UploadMemory { retry_after, .. }) if retry_after == soon
         ));
         drop(first);
         assert!(uploads.keep_for_job(&mut second).is_ok());
-        second.hold(60).unwrap();
+        second.held().more(60).unwrap();
         drop(second);
         assert_eq!((metrics.uploads.get(), metrics.upload_bytes.get()), (0, 0));
     }

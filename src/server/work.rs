@@ -7,6 +7,7 @@ use tracing::Span;
 
 use super::{
     admission::Permit,
+    config::Limits,
     envelope::panic_text,
     error::ServerError,
     intake::Order,
@@ -43,14 +44,16 @@ impl Order {
 
     /// Waits for room for the song's seconds; how long it is, is known once it is decoded.
     pub(crate) async fn hold_audio(&self, state: &SharedState) -> Result<(), ServerError> {
-        let longest = state.limits.max_audio_seconds;
-        let seconds = self.options.longest_seconds().unwrap_or(longest);
-        let share = state
-            .audio
-            .share(seconds.min(longest).ceil() as u64)
-            .await?;
-        self.watch.hold_audio(share);
+        let share = state.audio.share(self.most_seconds(&state.limits));
+        self.watch.hold_audio(share.await?);
         Ok(())
+    }
+
+    /// The most whole seconds that the dance can take.
+    pub(crate) fn most_seconds(&self, limits: &Limits) -> u64 {
+        let longest = limits.max_audio_seconds;
+        let asked = self.options.longest_seconds().unwrap_or(longest);
+        asked.min(longest).ceil() as u64
     }
 }
 
@@ -75,7 +78,8 @@ pub(crate) async fn dance(
     } = work;
     let measured = Arc::clone(metrics);
     run(metrics, &watch, move |watch| {
-        let dance = engine.generate(audio, &options, &watch.cancel, Arc::clone(watch) as _)?;
+        let mut dance = engine.generate(audio, &options, &watch.cancel, Arc::clone(watch) as _)?;
+        dance.timings.queue += permit.waited;
         measured.danced(kind, dance.codes.upper.len(), &dance.timings);
         Ok(Danced { dance, permit })
     })
@@ -97,7 +101,8 @@ pub(crate) async fn stream(
     } = work;
     let measured = Arc::clone(metrics);
     run(metrics, &watch, move |watch| {
-        let ending = engine.stream(audio, &options, &watch.cancel, listener)?;
+        let mut ending = engine.stream(audio, &options, &watch.cancel, listener)?;
+        ending.timings.queue += permit.waited;
         measured.danced("stream", ending.codes.upper.len(), &ending.timings);
         permit.danced();
         Ok(ending)
@@ -125,39 +130,45 @@ pub(crate) async fn write(
     .await
 }
 
-/// Runs on a blocking thread, in this request's span. What it holds stays held until it has really ended,
-/// whether or not somebody still waits.
+/// Runs with `watch` on a blocking thread. What it holds stays held until it has really ended, whether or not
+/// somebody still waits.
 async fn run<T: Send + 'static>(
     metrics: &SharedMetrics,
     watch: &Arc<Watch>,
     work: impl FnOnce(&Arc<Watch>) -> Result<T, ServerError> + Send + 'static,
 ) -> Result<T, ServerError> {
-    let span = Span::current();
     let inner = Arc::clone(watch);
-    let ended = tokio::task::spawn_blocking(move || {
-        let _entered = span.entered();
+    let work = move || {
         // Also when the work panics.
         let _end = EndOnDrop(&inner);
         if !inner.begin() {
             return Err(crate::engine::EngineError::Cancelled.into());
         }
         work(&inner)
-    })
-    .await;
-    let result = match ended {
-        Ok(result) => result,
-        Err(failed) => {
-            metrics.panicked(watch.phase().name());
-            Err(ServerError::Internal(match failed.try_into_panic() {
-                Ok(panic) => format!("panic: {}", panic_text(panic.as_ref())),
-                Err(failed) => failed.to_string(),
-            }))
-        }
     };
+    let result = blocking(metrics, || watch.phase().name(), work).await;
     if let Err(ServerError::Dance(Error::Audio(AudioError::DecoderPanic { .. }))) = &result {
         metrics.panicked("decode");
     }
     result
+}
+
+/// Runs on a blocking thread, in this request's span. A panic is counted as one of `place`, and costs this
+/// request alone.
+pub(crate) async fn blocking<T: Send + 'static>(
+    metrics: &SharedMetrics,
+    place: impl FnOnce() -> &'static str,
+    work: impl FnOnce() -> Result<T, ServerError> + Send + 'static,
+) -> Result<T, ServerError> {
+    let span = Span::current();
+    let ended = tokio::task::spawn_blocking(move || span.in_scope(work)).await;
+    ended.unwrap_or_else(|failed| {
+        metrics.panicked(place());
+        Err(ServerError::Internal(match failed.try_into_panic() {
+            Ok(panic) => format!("panic: {}", panic_text(panic.as_ref())),
+            Err(failed) => failed.to_string(),
+        }))
+    })
 }
 
 struct EndOnDrop<'a>(&'a Watch);

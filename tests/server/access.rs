@@ -96,7 +96,7 @@ async fn a_job_is_found_with_its_own_key_only() {
 #[tokio::test]
 async fn pages_of_allowed_origins_may_call() {
     let access = Access {
-        origins: vec!["https://dance.example".to_owned()],
+        origins: vec!["https://dance.example".parse().unwrap()],
         ..Access::default()
     };
     let app = app_for(&Fake::new(), &Limits::default(), access);

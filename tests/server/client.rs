@@ -1,6 +1,10 @@
 //! Requests and what came back.
 
-use std::{num::NonZeroUsize, sync::Arc};
+use std::{
+    num::NonZeroUsize,
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use axum::{
     Router,
@@ -11,6 +15,32 @@ use bailando::server::{Access, Generate, Limits, router};
 use http_body_util::BodyExt;
 use serde_json::Value;
 use tower::ServiceExt;
+
+/// Far more than is needed, far less than the time for which requests are waited for.
+pub(crate) const LONG: Duration = Duration::from_secs(15);
+
+/// What `look` finds, as soon as it finds something.
+pub(crate) async fn eventually<T>(what: &str, mut look: impl AsyncFnMut() -> Option<T>) -> T {
+    let started = Instant::now();
+    loop {
+        if let Some(found) = look().await {
+            return found;
+        }
+        assert!(started.elapsed() < LONG, "it never happens that {what}");
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+/// Waits until the metrics have all of `lines`.
+pub(crate) async fn until_counted(app: &Router, lines: &[&str]) {
+    let what = format!("the metrics say {lines:?}");
+    eventually(&what, async || {
+        let metrics = String::from_utf8(get(app, "/metrics").await.body).unwrap();
+        let said = |line: &&str| metrics.lines().any(|found| found == *line);
+        lines.iter().all(said).then_some(())
+    })
+    .await;
+}
 
 /// An answer, read to its end.
 #[derive(Debug)]

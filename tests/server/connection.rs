@@ -3,20 +3,19 @@
 use std::{
     io::{ErrorKind, Read, Write},
     net::TcpStream,
-    num::NonZeroUsize,
+    num::{NonZeroU32, NonZeroUsize},
     time::{Duration, Instant},
 };
 
 use bailando::server::{Limits, Seconds};
 
 use crate::{
+    client::LONG,
     fake::Fake,
     lifecycle::{Server, get, post},
 };
 
 const SOON: Duration = Duration::from_millis(300);
-/// Far more than is needed.
-const LONG: Duration = Duration::from_secs(10);
 
 fn impatient() -> Limits {
     Limits {
@@ -68,12 +67,16 @@ async fn connections_beyond_the_most_wait_for_a_place() {
     drop(silent);
 }
 
-/// The preface of HTTP/2 with prior knowledge is answered with settings.
+/// The preface of HTTP/2 with prior knowledge is answered with settings, which say how much is taken at once.
 #[tokio::test(flavor = "multi_thread")]
 async fn http2_is_spoken_without_tls() {
     const SETTINGS: [u8; 9] = [0, 0, 0, 4, 0, 0, 0, 0, 0];
-    let server = Server::start(&Fake::new(), Limits::default()).await;
-    tokio::task::block_in_place(|| {
+    let limits = Limits {
+        max_http2_streams: NonZeroU32::new(7).unwrap(),
+        ..Limits::default()
+    };
+    let server = Server::start(&Fake::new(), limits).await;
+    let settings = tokio::task::block_in_place(|| {
         let mut stream = TcpStream::connect(server.address).unwrap();
         stream.set_read_timeout(Some(LONG)).unwrap();
         stream
@@ -83,7 +86,14 @@ async fn http2_is_spoken_without_tls() {
         let mut head = [0; 9];
         stream.read_exact(&mut head).unwrap();
         assert_eq!(head[3], 4, "{head:?}");
+        let length = u32::from_be_bytes([0, head[0], head[1], head[2]]);
+        let mut settings = vec![0; length as usize];
+        stream.read_exact(&mut settings).unwrap();
+        settings
     });
+    // SETTINGS_MAX_CONCURRENT_STREAMS (RFC 9113, section 6.5.2).
+    let streams = settings.chunks(6).find(|setting| setting[..2] == [0, 3]);
+    assert_eq!(streams.unwrap()[2..], 7_u32.to_be_bytes());
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -118,8 +128,8 @@ async fn who_takes_nothing_of_its_answer_is_dropped() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_refusal_reaches_a_client_that_is_still_sending() {
     let limits = Limits {
-        rate_limit: std::num::NonZeroU32::new(1),
-        rate_burst: std::num::NonZeroU32::MIN,
+        rate_limit: NonZeroU32::new(1),
+        rate_burst: NonZeroU32::MIN,
         ..Limits::default()
     };
     let server = Server::start(&Fake::new(), limits).await;

@@ -29,6 +29,8 @@ use glam::{Quat, Vec3};
 use ndarray::{Array2, Array3};
 use tokio::sync::Semaphore;
 
+use crate::client::LONG;
+
 /// Audio that makes the fake wait until [`Fake::release`].
 pub(crate) const BLOCK: &[u8] = b"block";
 /// Audio that makes the fake panic.
@@ -75,12 +77,12 @@ impl Fake {
 
     /// Waits until `count` more generations have started.
     pub(crate) async fn wait_started(&self, count: u32) {
-        self.started.acquire_many(count).await.unwrap().forget();
+        take(&self.started, count).await;
     }
 
     /// Waits until `count` more generations have ended.
     pub(crate) async fn wait_ended(&self, count: u32) {
-        self.ended.acquire_many(count).await.unwrap().forget();
+        take(&self.ended, count).await;
     }
 
     fn block(&self, cancel: &CancelToken) -> Result<(), EngineError> {
@@ -98,6 +100,11 @@ impl Fake {
         }
         Ok(())
     }
+}
+
+async fn take(semaphore: &Semaphore, count: u32) {
+    let taken = tokio::time::timeout(LONG, semaphore.acquire_many(count)).await;
+    taken.expect("generations start and end").unwrap().forget();
 }
 
 struct CountEnd<'fake>(&'fake Semaphore);

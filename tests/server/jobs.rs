@@ -15,7 +15,7 @@ use bailando::server::{Limits, Seconds};
 use serde_json::Value;
 
 use crate::{
-    client::{app, get, post, raw, send, small_limits},
+    client::{app, eventually, get, post, raw, send, small_limits, until_counted},
     fake::{BLOCK, Fake, PANIC},
     lifecycle::{Server, get as get_bytes, post_to},
 };
@@ -34,13 +34,13 @@ async fn order(app: &Router, query: &str, audio: &'static [u8]) -> String {
 
 /// Asks until the job is no longer in one of `states`.
 async fn after(app: &Router, path: &str, states: &[&str]) -> Value {
-    loop {
+    let what = format!("a job is no longer {states:?}");
+    eventually(&what, async || {
         let status = get(app, path).await.json();
-        if !states.contains(&status["state"].as_str().unwrap()) {
-            return status;
-        }
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+        let left = !states.contains(&status["state"].as_str().unwrap());
+        left.then_some(status)
+    })
+    .await
 }
 
 async fn delete(app: &Router, path: &str) -> StatusCode {
@@ -87,6 +87,62 @@ async fn a_job_is_ordered_asked_about_fetched_and_deleted() {
     get(&app, "/jobs/no-id")
         .await
         .expect_error(404, "no_such_job");
+}
+
+/// The option wins, then what the header prefers, then what was ordered.
+#[tokio::test]
+async fn a_result_comes_as_it_is_asked_for() {
+    const JSON: &str = "application/json";
+    const BVH: &str = "application/x-bvh";
+    let app = app(&Fake::new(), &Limits::default());
+    let path = order(&app, "format=bvh", b"song").await;
+    after(&app, &path, &["queued", "running"]).await;
+    let ask = async |query: &str, accept: Option<&'static str>| {
+        let mut request = Request::get(format!("{path}/result{query}"));
+        if let Some(accept) = accept {
+            request = request.header("accept", accept);
+        }
+        send(&app, request.body(Body::empty()).unwrap()).await
+    };
+    for (query, accept, wanted) in [
+        ("", None, BVH),
+        ("", Some("*/*"), BVH),
+        ("", Some("application/*"), BVH),
+        ("", Some(JSON), JSON),
+        ("?format=bvh", Some(JSON), BVH),
+        ("?format=json", None, JSON),
+        ("?format=json", Some("image/png"), JSON),
+    ] {
+        let answer = ask(query, accept).await;
+        assert_eq!(
+            (answer.status, answer.header("content-type")),
+            (StatusCode::OK, wanted),
+            "{query} {accept:?}"
+        );
+    }
+    let picture = ask("", Some("image/png")).await;
+    picture.expect_error(406, "not_acceptable");
+}
+
+/// A new job takes the place of one that was fetched, but of no other.
+#[tokio::test]
+async fn who_has_its_dance_makes_room() {
+    let limits = Limits {
+        max_jobs: NonZeroUsize::MIN,
+        ..Limits::default()
+    };
+    let app = app(&Fake::new(), &limits);
+    let first = order(&app, "", b"song").await;
+    after(&app, &first, &["queued", "running"]).await;
+    let one_more = send(&app, post("/jobs", "", "song")).await;
+    one_more.expect_error(429, "too_many_jobs");
+    let fetched = get(&app, &format!("{first}/result")).await;
+    assert_eq!(fetched.status, StatusCode::OK);
+    let second = order(&app, "", b"song").await;
+    get(&app, &first).await.expect_error(404, "no_such_job");
+    assert_eq!(get(&app, &second).await.status, StatusCode::OK);
+    let jobs = ["bailando_jobs{state=\"done\"} 1"];
+    until_counted(&app, &jobs).await;
 }
 
 #[tokio::test]
@@ -154,21 +210,16 @@ async fn a_server_that_stops_ends_its_jobs_and_waits_for_who_asks() {
         .to_owned();
     fake.wait_started(1).await;
     server.stop();
-    while !server
-        .exchange(get_bytes("/ready"))
-        .await
-        .unwrap()
-        .starts_with("HTTP/1.1 503")
-    {}
+    server.until_ready_says("HTTP/1.1 503").await;
     server.expect(post_to("/jobs", b"song"), 503).await;
     fake.release();
-    let result = loop {
+    eventually("the job is done", async || {
         let status = server.expect(get_bytes(&location), 200).await;
-        if status.contains("\"done\"") {
-            let result = get_bytes(&format!("{location}/result"));
-            break server.expect(result, 200).await;
-        }
-    };
+        status.contains("\"done\"").then_some(())
+    })
+    .await;
+    let result = get_bytes(&format!("{location}/result"));
+    let result = server.expect(result, 200).await;
     assert!(result.contains("\"positions\""), "{result}");
     let fetched = Instant::now();
     server.task.await.unwrap().unwrap();

@@ -18,12 +18,9 @@ use tokio::{
 };
 
 use crate::{
-    client::small_limits,
+    client::{LONG, eventually, small_limits},
     fake::{BLOCK, Fake},
 };
-
-/// Far more than is needed, far less than the time for which requests are waited for.
-const LONG: Duration = Duration::from_secs(15);
 
 pub(crate) struct Server {
     pub(crate) address: SocketAddr,
@@ -63,6 +60,16 @@ impl Server {
 
     pub(crate) fn stop(&self) {
         self.stop.send(()).unwrap();
+    }
+
+    /// Waits until `/ready` is answered with something that holds `text`, and gives the answer.
+    pub(crate) async fn until_ready_says(&self, text: &str) -> String {
+        let what = format!("/ready says {text:?}");
+        eventually(&what, async || {
+            let answer = self.exchange(get("/ready")).await.unwrap();
+            answer.contains(text).then_some(answer)
+        })
+        .await
     }
 
     pub(crate) async fn expect(&self, request: Vec<u8>, status: u16) -> String {
@@ -121,13 +128,7 @@ async fn draining_ends_what_was_accepted_and_refuses_the_rest() {
     let running = server.exchange(post(BLOCK));
     fake.wait_started(1).await;
     server.stop();
-    let not_ready = loop {
-        let answer = server.exchange(get("/ready")).await.unwrap();
-        if !answer.starts_with("HTTP/1.1 200") {
-            break answer;
-        }
-    };
-    assert!(not_ready.starts_with("HTTP/1.1 503"), "{not_ready}");
+    let not_ready = server.until_ready_says("HTTP/1.1 503").await;
     assert!(not_ready.contains("\"draining\""), "{not_ready}");
     let refused = server.exchange(post(b"song")).await.unwrap();
     assert!(refused.starts_with("HTTP/1.1 503"), "{refused}");
@@ -201,14 +202,7 @@ async fn while_the_model_is_loaded_the_server_lives_and_is_not_ready() {
         assert!(answer.contains("retry-after: "), "{answer}");
     }
     assert!(done.send(Fake::new() as Arc<dyn Generate>).is_ok());
-    while !server
-        .exchange(get("/ready"))
-        .await
-        .unwrap()
-        .starts_with("HTTP/1.1 200")
-    {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    server.until_ready_says("HTTP/1.1 200").await;
     server.expect(post(b"song"), 200).await;
 }
 
@@ -224,9 +218,17 @@ async fn a_model_that_cannot_be_loaded_ends_the_server() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_model_that_stops_for_good_ends_the_server() {
     let fake = Fake::new();
-    let server = Server::start(&fake, Limits::default()).await;
+    let server = Server::start(&fake, small_limits()).await;
     server.expect(get("/ready"), 200).await;
+    let running = server.exchange(post(BLOCK));
+    fake.wait_started(1).await;
     fake.stopped.store(true, Ordering::SeqCst);
+    let refused = server.expect(post(b"song"), 503).await;
+    assert!(refused.contains("retry-after: "), "{refused}");
+    // What still has an answer gets it.
+    server.until_ready_says("\"draining\"").await;
+    fake.release();
+    assert!(running.await.unwrap().starts_with("HTTP/1.1 200"));
     let ended = server.task.await.unwrap();
     assert!(matches!(ended, Err(ServeError::ModelStopped)));
 }

@@ -1,4 +1,4 @@
-//! Limits of size, time and number.
+//! Limits of number and time, and what is held meanwhile.
 
 use std::{
     convert::Infallible,
@@ -7,7 +7,7 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering},
     },
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use axum::{
@@ -18,110 +18,12 @@ use bailando::server::{ByteSize, Limits, Seconds};
 use bytes::Bytes;
 use futures_util::{StreamExt, stream};
 use tokio::task::JoinSet;
+use tower::ServiceExt;
 
 use crate::{
-    client::{Answer, app, form, get, raw, send, small_limits},
+    client::{Answer, app, eventually, form, get, post, raw, send, small_limits, until_counted},
     fake::{BLOCK, Fake},
 };
-
-const LOSSY: usize = 5_000;
-const LOSSLESS: usize = 100_000;
-
-fn byte_limits() -> Limits {
-    Limits {
-        payload_limit: ByteSize(LOSSY as u64),
-        payload_limit_lossless: ByteSize(LOSSLESS as u64),
-        ..Limits::default()
-    }
-}
-
-/// `len` bytes that begin with `magic`.
-fn file(magic: &[u8], len: usize) -> Vec<u8> {
-    let mut bytes = magic.to_vec();
-    bytes.resize(len, 1);
-    bytes
-}
-
-/// A body without a length, in pieces of `piece` bytes.
-fn chunked(bytes: &[u8], piece: usize) -> Body {
-    let pieces: Vec<_> = bytes
-        .chunks(piece)
-        .map(|piece| Ok::<_, Infallible>(Bytes::copy_from_slice(piece)))
-        .collect();
-    Body::from_stream(stream::iter(pieces))
-}
-
-/// The same audio in every way that it can be sent.
-fn ways(audio: &[u8]) -> Vec<(&'static str, Request<Body>)> {
-    let form_bytes = || form("", &[("file", audio)]);
-    let chunked_form = |piece: usize| {
-        let mut request = form("", &[]);
-        let body = [
-            &b"--frontier\r\nContent-Disposition: form-data; name=\"file\"\r\n\r\n"[..],
-            audio,
-            b"\r\n--frontier--\r\n",
-        ]
-        .concat();
-        *request.body_mut() = chunked(&body, piece);
-        request
-    };
-    vec![
-        ("raw", raw("", audio.to_vec())),
-        ("raw in pieces", raw("", chunked(audio, 1_000))),
-        ("raw in small pieces", raw("", chunked(audio, 5))),
-        ("form", form_bytes()),
-        ("form in pieces", chunked_form(1_000)),
-        ("form in small pieces", chunked_form(7)),
-    ]
-}
-
-#[tokio::test]
-async fn a_file_may_have_exactly_its_limit() {
-    let fake = Fake::new();
-    let app = app(&fake, &byte_limits());
-    for (magic, limit) in [
-        (&b"ID3"[..], LOSSY),
-        (b"fLaC", LOSSLESS),
-        (b"RIFF\x01\x02\x03\x04WAVE", LOSSLESS),
-        (b"RIFF\x01\x02\x03\x04AVI ", LOSSY),
-    ] {
-        for len in [limit - 1, limit, limit + 1] {
-            let audio = file(magic, len);
-            for (way, request) in ways(&audio) {
-                let answer = send(&app, request).await;
-                if len <= limit {
-                    assert_eq!(answer.status, StatusCode::OK, "{way}: {len}");
-                    assert_eq!(fake.heard.lock().unwrap().pop().unwrap(), audio, "{way}");
-                } else {
-                    let said = answer.expect_error(413, "payload_too_large");
-                    assert!(
-                        said.contains(&format!("larger than {}:", ByteSize(limit as u64))),
-                        "{way}: {said}"
-                    );
-                }
-            }
-        }
-    }
-}
-
-/// A body that is too large is refused at the byte that is too many: this one never ends.
-#[tokio::test]
-async fn excess_is_not_taken_in() {
-    let app = app(&Fake::new(), &byte_limits());
-    let polled = Arc::new(std::sync::atomic::AtomicUsize::new(0));
-    let counted = {
-        let polled = Arc::clone(&polled);
-        stream::repeat_with(move || {
-            polled.fetch_add(1, Ordering::SeqCst);
-            Ok::<_, Infallible>(Bytes::from_static(&[7; 1_000]))
-        })
-        .take(LOSSY / 1_000 + 1)
-        .chain(stream::pending())
-    };
-    let answer = send(&app, raw("", Body::from_stream(counted))).await;
-    answer.expect_error(413, "payload_too_large");
-    assert!(polled.load(Ordering::SeqCst) <= LOSSY / 1_000 + 1);
-}
 
 #[tokio::test]
 async fn a_full_queue_is_answered_at_once_and_probes_still_pass() {
@@ -160,6 +62,11 @@ fn watched() -> (Body, Arc<AtomicBool>) {
     (Body::from_stream(first.chain(stream::pending())), read)
 }
 
+async fn until_read(read: &AtomicBool) {
+    let read = async || read.load(Ordering::SeqCst).then_some(());
+    eventually("a body is read", read).await;
+}
+
 /// The permit comes before the body: what nobody can use is not read.
 #[tokio::test]
 async fn no_body_is_read_without_a_permit() {
@@ -175,9 +82,7 @@ async fn no_body_is_read_without_a_permit() {
         let app = app.clone();
         async move { send(&app, raw("", slow)).await }
     });
-    while !slow_read.load(Ordering::SeqCst) {
-        tokio::task::yield_now().await;
-    }
+    until_read(&slow_read).await;
     let (body, read) = watched();
     let refused = send(&app, raw("", body)).await;
     refused.expect_error(429, "too_many_uploads");
@@ -189,11 +94,9 @@ async fn no_body_is_read_without_a_permit() {
     for _ in 0..2 {
         let app = app.clone();
         blocked.spawn(async move { send(&app, raw("", BLOCK)).await });
-        fake.wait_started(u32::from(blocked.len() == 1)).await;
-        for _ in 0..100 {
-            tokio::task::yield_now().await;
-        }
     }
+    fake.wait_started(1).await;
+    until_counted(&app, &["bailando_queue_waiting 1"]).await;
     let (body, read) = watched();
     let refused = send(&app, raw("", body)).await;
     refused.expect_error(429, "queue_full");
@@ -202,6 +105,12 @@ async fn no_body_is_read_without_a_permit() {
     for answer in blocked.join_all().await {
         assert_eq!(answer.status, StatusCode::OK);
     }
+    // Nor where the model has stopped.
+    fake.stopped.store(true, Ordering::SeqCst);
+    let (body, read) = watched();
+    let refused = send(&app, raw("", body)).await;
+    refused.expect_error(503, "model_stopped");
+    assert!(!read.load(Ordering::SeqCst));
 }
 
 /// A slow upload takes no place to work in: others work meanwhile.
@@ -214,9 +123,7 @@ async fn a_slow_upload_keeps_nobody_from_working() {
         let app = app.clone();
         async move { send(&app, raw("", slow)).await }
     });
-    while !read.load(Ordering::SeqCst) {
-        tokio::task::yield_now().await;
-    }
+    until_read(&read).await;
     for _ in 0..3 {
         assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
     }
@@ -224,17 +131,80 @@ async fn a_slow_upload_keeps_nobody_from_working() {
 }
 
 #[tokio::test]
-async fn uploads_are_held_within_their_memory() {
+async fn answers_are_held_within_their_memory() {
+    let limits = Limits {
+        answer_memory: ByteSize(1),
+        // Of which half is waited for room.
+        request_timeout: Seconds::new(4),
+        ..small_limits()
+    };
+    let app = app(&Fake::new(), &limits);
+    let untaken = app.clone().oneshot(raw("", "song")).await.unwrap();
+    assert_eq!(untaken.status(), StatusCode::OK);
+    let refused = send(&app, raw("", "song")).await;
+    refused.expect_error(503, "answer_memory");
+    drop(untaken);
+    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+}
+
+#[tokio::test]
+async fn a_song_waits_for_its_seconds() {
     let fake = Fake::new();
     let limits = Limits {
-        upload_memory: ByteSize(8),
+        max_concurrent_requests: NonZeroUsize::new(2).unwrap(),
+        audio_seconds_in_flight: 600.0,
         ..small_limits()
     };
     let app = app(&fake, &limits);
-    let refused = send(&app, raw("", "nine bytes")).await;
-    refused.expect_error(429, "upload_memory");
-    assert_eq!(send(&app, raw("", "8 bytes!")).await.status, StatusCode::OK);
-    assert_eq!(send(&app, raw("", "8 bytes!")).await.status, StatusCode::OK);
+    let mut requests = JoinSet::new();
+    for _ in 0..2 {
+        let app = app.clone();
+        requests.spawn(async move { send(&app, raw("", BLOCK)).await });
+    }
+    // Both have a place to work in, and all seconds are taken.
+    let taken = [
+        "bailando_requests_running 2",
+        "bailando_audio_seconds_in_flight 600",
+    ];
+    until_counted(&app, &taken).await;
+    fake.wait_started(1).await;
+    assert_eq!(fake.generations.load(Ordering::SeqCst), 1);
+    fake.release();
+    for answer in requests.join_all().await {
+        assert_eq!(answer.status, StatusCode::OK);
+    }
+}
+
+/// In the header and in the JSON alike, for who waits in line and for a job.
+#[tokio::test]
+async fn the_time_in_line_is_told() {
+    const WAIT: Duration = Duration::from_millis(30);
+    let fake = Fake::new();
+    let app = app(&fake, &small_limits());
+    let ask = |audio: &'static [u8]| {
+        let app = app.clone();
+        tokio::spawn(async move { send(&app, raw("", audio)).await })
+    };
+    let told = |answer: &Answer| {
+        let queue = answer.json()["timings_ms"]["queue"].as_f64().unwrap();
+        assert_eq!(answer.header("x-queue-time").parse(), Ok(queue));
+        Duration::from_secs_f64(queue / 1e3)
+    };
+    let running = ask(BLOCK);
+    fake.wait_started(1).await;
+    let queued = ask(b"song");
+    let job = send(&app, post("/jobs", "", "song")).await;
+    until_counted(&app, &["bailando_queue_waiting 1"]).await;
+    tokio::time::sleep(WAIT).await;
+    fake.release();
+    assert!(told(&running.await.unwrap()) < WAIT);
+    assert!(told(&queued.await.unwrap()) >= WAIT);
+    let result = format!("{}/result", job.header("location"));
+    let fetched = eventually("the job is done", async || {
+        let answer = get(&app, &result).await;
+        (answer.status != StatusCode::CONFLICT).then_some(answer)
+    });
+    assert!(told(&fetched.await) >= WAIT);
 }
 
 #[tokio::test]
@@ -323,44 +293,4 @@ async fn a_wrong_accept_header_costs_no_permit() {
     ask(form("", &parts))
         .await
         .expect_error(406, "not_acceptable");
-}
-
-async fn slow(limits: Limits, pieces: usize, every: Duration) -> Answer {
-    let body = stream::unfold(0, move |sent| async move {
-        if sent == pieces {
-            std::future::pending::<()>().await;
-        }
-        tokio::time::sleep(every).await;
-        Some((Ok::<_, Infallible>(Bytes::from_static(b"x")), sent + 1))
-    });
-    let app = app(&Fake::new(), &limits);
-    send(&app, raw("", Body::from_stream(body.boxed()))).await
-}
-
-/// In each case the other clock is set so far that only the one in question can have ended it.
-#[tokio::test]
-async fn slow_bodies_are_dropped() {
-    const FAR: Seconds = Seconds::new(3_600);
-    let soon = Duration::from_millis(300);
-    let idle = Limits {
-        body_idle_timeout: Seconds(soon),
-        body_timeout: FAR,
-        request_timeout: FAR,
-        ..Limits::default()
-    };
-    let total = Limits {
-        body_idle_timeout: FAR,
-        body_timeout: Seconds(soon),
-        ..idle.clone()
-    };
-    let stalled = slow(idle, 3, Duration::from_millis(1));
-    let said = stalled.await.expect_error(408, "upload_timeout");
-    assert!(
-        said.contains("0.3 s without data and 3600 s in all"),
-        "{said}"
-    );
-    let started = Instant::now();
-    let dribbling = slow(total, usize::MAX, Duration::from_millis(20));
-    dribbling.await.expect_error(408, "upload_timeout");
-    assert!(started.elapsed() >= soon);
 }

@@ -20,5 +20,6 @@ mod process;
 mod real;
 mod streaming;
 mod surface;
+mod uploads;
 #[path = "../audio/writers.rs"]
 mod writers;

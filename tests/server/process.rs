@@ -10,8 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Far more than is needed, far less than the time for which requests are waited for.
-const LONG: Duration = Duration::from_secs(15);
+use crate::client::LONG;
 
 /// Without settings of whoever runs the tests.
 fn bailando(arguments: &[&str]) -> Command {
@@ -82,6 +81,14 @@ fn get_patiently(port: u16, path: &str) -> String {
             return answer;
         }
         assert!(started.elapsed() < LONG, "nothing answers");
+        thread::sleep(Duration::from_millis(10));
+    }
+}
+
+fn wait_until_ready(port: u16) {
+    let started = Instant::now();
+    while !get_patiently(port, "/ready").starts_with("HTTP/1.1 200") {
+        assert!(started.elapsed() < LONG, "it is never ready");
         thread::sleep(Duration::from_millis(10));
     }
 }
@@ -163,6 +170,19 @@ fn limits_that_mean_nothing_are_wrong_use() {
         (
             &["--min-sample-rate=9000", "--max-sample-rate=8000"],
             "--min-sample-rate 9000 must not be above",
+        ),
+        (
+            &["--upload-memory=100MB"],
+            "--upload-memory 100MB is less than the largest file in a form",
+        ),
+        (
+            &["--audio-seconds-in-flight=599"],
+            "--audio-seconds-in-flight 599 is less than --max-audio-seconds 600",
+        ),
+        (&["--request-timeout=1e19"], "no more than ten years"),
+        (
+            &["--cors-allow-origin=https://a.example,https://b.example/page"],
+            "'https://b.example/page'",
         ),
     ] {
         let output = bailando(&["serve", "--port", "0", "--model-dir", "src"])
@@ -274,7 +294,7 @@ fn traces_go_to_the_collector_that_the_settings_name() {
         .spawn();
     let mut server = Running(child.unwrap());
     let collected = collect_once(collector);
-    while !get_patiently(port, "/ready").starts_with("HTTP/1.1 200") {}
+    wait_until_ready(port);
     server.terminate();
     assert_eq!(server.wait().code(), Some(0));
     let (line, body) = collected.join().unwrap();
@@ -303,7 +323,7 @@ fn a_key_is_asked_for_and_never_logged() {
         .stderr(fs::File::create(&log).unwrap())
         .spawn();
     let mut server = Running(child.unwrap());
-    while !get_patiently(port, "/ready").starts_with("HTTP/1.1 200") {}
+    wait_until_ready(port);
     let ask = |key: &str| {
         let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
         let head = format!("GET /codes HTTP/1.1\r\nHost: x\r\nConnection: close\r\n{key}\r\n");

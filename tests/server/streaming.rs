@@ -13,7 +13,7 @@ use serde_json::Value;
 use tower::ServiceExt;
 
 use crate::{
-    client::{Answer, app, get, post, send, small_limits},
+    client::{Answer, app, get, post, send, small_limits, until_counted},
     fake::{BLOCK, Fake, LATE_PANIC, PANIC},
 };
 
@@ -169,15 +169,12 @@ async fn a_reader_that_leaves_stops_the_work() {
     drop(body);
     fake.wait_ended(1).await;
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
-    let counted = "bailando_cancelled_total{phase=\"inference\"} 1";
     // The work tells so a moment after its end.
-    loop {
-        let metrics = String::from_utf8(get(&app, "/metrics").await.body).unwrap();
-        if metrics.contains(counted) && metrics.contains("bailando_requests_running 0") {
-            break;
-        }
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    let told = [
+        "bailando_cancelled_total{phase=\"inference\"} 1",
+        "bailando_requests_running 0",
+    ];
+    until_counted(&app, &told).await;
 }
 
 #[tokio::test]

@@ -9,7 +9,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::{ByteSize, Seconds};
-use crate::{audio::AudioLimits, engine::DEFAULT_BATCH};
+use crate::{audio::AudioLimits, engine::DEFAULT_BATCH, server::form};
 
 /// Memory that a second of audio takes, all stages together; measured (`tests/load/uploads.py`).
 const BYTES_PER_SECOND: f64 = 700_000.0;
@@ -66,7 +66,8 @@ pub struct Limits {
         value_parser = above_zero
     )]
     pub audio_seconds_in_flight: f64,
-    /// Jobs that are kept at the same time, finished ones included; one more is answered 429
+    /// Jobs that are kept at the same time, finished ones included; one more takes the place of one whose
+    /// result was fetched, or else is answered 429
     #[arg(
         long,
         env = "BAILANDO_MAX_JOBS",
@@ -84,7 +85,8 @@ pub struct Limits {
     #[schema(value_type = f64)]
     pub job_ttl: Seconds,
     /// Requests a minute that each client may make of the routes that work, on average; clients are told
-    /// apart by their API key, else by their address [default: no limit]
+    /// apart by their API key, else by the address that connects: behind a proxy all without a key are one
+    /// client [default: no limit]
     #[arg(long, env = "BAILANDO_RATE_LIMIT")]
     #[serde(rename = "rate_limit_per_minute")]
     #[schema(value_type = Option<u32>)]
@@ -294,12 +296,12 @@ pub enum LimitsError {
         max: u32,
     },
     /// The largest file would never find room.
-    #[error("--upload-memory {memory} is less than the largest file, {file}")]
+    #[error("--upload-memory {memory} is less than the largest file in a form, {body}")]
     UploadMemory {
         /// Room for all uploads.
         memory: ByteSize,
-        /// The largest file.
-        file: ByteSize,
+        /// The largest file, with what a form has around it.
+        body: ByteSize,
     },
     /// The longest song would never have its turn.
     #[error("--audio-seconds-in-flight {in_flight} is less than --max-audio-seconds {longest}")]
@@ -326,11 +328,11 @@ impl Limits {
         if min > max {
             return Err(LimitsError::SampleRate { min, max });
         }
-        let file = self.payload_limit.max(self.payload_limit_lossless);
-        if self.upload_memory < file {
+        let body = self.largest_body();
+        if self.upload_memory < body {
             return Err(LimitsError::UploadMemory {
                 memory: self.upload_memory,
-                file,
+                body,
             });
         }
         let (in_flight, longest) = (self.audio_seconds_in_flight, self.max_audio_seconds);
@@ -340,11 +342,21 @@ impl Limits {
         Ok(())
     }
 
+    /// The largest file of any kind.
+    pub(crate) fn largest_file(&self) -> ByteSize {
+        self.payload_limit.max(self.payload_limit_lossless)
+    }
+
+    /// The largest file, and what a form has around it.
+    pub(crate) fn largest_body(&self) -> ByteSize {
+        ByteSize(self.largest_file().0.saturating_add(form::OVERHEAD))
+    }
+
     /// Most bytes that one request takes while it is worked on: its upload, and for every second of audio the
     /// signals, features, motion and answer.
     #[must_use]
     pub fn memory_per_request(&self) -> u64 {
-        let upload = self.payload_limit.max(self.payload_limit_lossless).0;
+        let upload = self.largest_file().0;
         upload.saturating_add((self.max_audio_seconds * BYTES_PER_SECOND) as u64)
     }
 

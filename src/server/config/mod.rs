@@ -3,6 +3,7 @@
 
 mod keys;
 mod limits;
+mod origin;
 mod units;
 
 use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
@@ -12,6 +13,7 @@ use clap::builder::FalseyValueParser;
 pub use self::{
     keys::{ApiKey, KeysError},
     limits::{Limits, LimitsError},
+    origin::Origin,
     units::{ByteSize, Seconds},
 };
 use super::access::Access;
@@ -51,9 +53,10 @@ pub struct ServerConfig {
     /// File of API keys, one a line, in addition to --api-key
     #[arg(long, env = "BAILANDO_API_KEY_FILE")]
     pub api_key_file: Option<PathBuf>,
-    /// Origins whose pages may call the server (CORS), with commas; * for all [default: none]
+    /// Origins whose pages may call the server (CORS), each a scheme, a host and perhaps a port, with commas; *
+    /// for all [default: none]
     #[arg(long, env = "BAILANDO_CORS_ALLOW_ORIGIN", value_delimiter = ',')]
-    pub cors_allow_origin: Vec<String>,
+    pub cors_allow_origin: Vec<Origin>,
     /// Collector that traces are sent to: OTLP over HTTP, such as http://localhost:4318 [default: none]
     #[arg(long, env = "BAILANDO_OTLP_ENDPOINT")]
     pub otlp_endpoint: Option<String>,
@@ -163,9 +166,20 @@ mod tests {
         for text in ["", "MB", "-1", "12 apples", "1.5MB", "99999999999GB"] {
             assert!(text.parse::<ByteSize>().is_err(), "{text:?}");
         }
-        for text in ["", "0", "-1", "NaN", "inf", "1e300", "soon"] {
+        for text in [
+            "",
+            "0",
+            "-1",
+            "NaN",
+            "inf",
+            "1e300",
+            "1e19",
+            "315360001",
+            "soon",
+        ] {
             assert!(text.parse::<Seconds>().is_err(), "{text:?}");
         }
+        assert_eq!("315360000".parse(), Ok(Seconds::new(315_360_000)));
     }
 
     #[test]

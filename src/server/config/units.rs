@@ -60,6 +60,9 @@ impl fmt::Display for ByteSize {
 pub struct Seconds(pub Duration);
 
 impl Seconds {
+    /// Ten years: far more than anybody waits, and a moment so far away can still be reckoned.
+    const LONGEST: u64 = 10 * 365 * 24 * 60 * 60;
+
     /// Whole seconds.
     #[must_use]
     pub const fn new(seconds: u64) -> Self {
@@ -81,9 +84,12 @@ impl FromStr for Seconds {
             .parse::<f64>()
             .ok()
             .and_then(|seconds| Duration::try_from_secs_f64(seconds).ok())
-            .filter(|time| !time.is_zero())
             .map(Self)
-            .ok_or_else(|| "give a number of seconds above 0".to_owned())
+            .filter(|time| !time.0.is_zero() && *time <= Self::new(Self::LONGEST))
+            .ok_or_else(|| {
+                let most = Self::LONGEST;
+                format!("give a number of seconds above 0, and no more than ten years ({most})")
+            })
     }
 }
 

@@ -67,7 +67,7 @@ pub(super) const OPTIONS: [OptionSpec; 19] = [
     },
     OptionSpec {
         name: "candidates",
-        about: "Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the music's, less its share of frames that stand still (up to 12 while the best one freezes); the cost grows with them. Default: the model's.",
+        about: "Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the music's, less its share of frames that stand still (up to 12 while the best one freezes or goes to the ground); the cost grows with them. Default: the model's.",
         accepts: Accepts::Integer {
             least: 1,
             most: MAX_CANDIDATES as u64,

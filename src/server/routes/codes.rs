@@ -15,9 +15,9 @@ use crate::{
     engine::EngineError,
     format::{CodePoseJson, pose_json},
     server::{
-        envelope::panic_text,
         error::{ErrorBody, ServerError},
         state::SharedState,
+        work,
     },
 };
 
@@ -101,7 +101,7 @@ pub(crate) async fn codebooks(
         (status = 500, description = "The server is at fault.", body = ErrorBody),
         (
             status = 503,
-            description = "The model is being loaded, the server is shutting down, or there was no result in time.",
+            description = "The model is being loaded or has stopped, the server is shutting down, or there was no result in time.",
             body = ErrorBody,
             headers(("retry-after" = u64, description = "Seconds to wait."))
         ),
@@ -122,25 +122,16 @@ pub(crate) async fn pose(
 }
 
 async fn shown(state: &SharedState, [upper, lower]: [u32; 2]) -> Result<Vec<u8>, ServerError> {
-    let engine = Arc::clone(&state.loaded()?.engine);
+    let engine = Arc::clone(state.engine()?);
     state.admission.check_room()?;
     let permit = state.admission.admit().await?;
-    let shown = tokio::task::spawn_blocking(move || {
+    let show = move || {
         let _permit = permit;
         let positions = engine.pose(upper, lower).map_err(of_code)?;
         let json = pose_json([upper, lower], engine.manifest().fps, &positions);
         json.map_err(|error| ServerError::Dance(error.into()))
-    });
-    match shown.await {
-        Ok(shown) => shown,
-        Err(failed) => {
-            state.metrics.panicked("codes");
-            Err(ServerError::Internal(match failed.try_into_panic() {
-                Ok(panic) => format!("panic: {}", panic_text(panic.as_ref())),
-                Err(failed) => failed.to_string(),
-            }))
-        }
-    }
+    };
+    work::blocking(&state.metrics, || "codes", show).await
 }
 
 /// The engine knows the codes as those that a dance starts with.

@@ -1,6 +1,6 @@
 //! `POST /generate`: audio in, dance out.
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use axum::{
     extract::{Request, State},
@@ -73,7 +73,7 @@ use crate::{
         (status = 500, description = "The server is at fault.", body = ErrorBody),
         (
             status = 503,
-            description = "The model is being loaded, the server is shutting down, or there was no result in time.",
+            description = "The model is being loaded or has stopped, the server is shutting down, there was no result in time, or answers that nobody takes leave no room for it.",
             body = ErrorBody,
             headers(("retry-after" = u64, description = "Seconds to wait."))
         ),
@@ -99,7 +99,6 @@ async fn render(
     let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
     let made = async {
         let permit = state.admission.admit_traced().await?;
-        let waited = permit.waited;
         order.hold_audio(state).await?;
         let danced = work::dance(&state.metrics, order.work(), permit, "generate");
         let work::Danced { dance, permit } = danced.await?;
@@ -116,7 +115,7 @@ async fn render(
         // Whoever reads slowly holds memory: the place to work in is free only once there is some.
         let room = state.room(body.len()).await?;
         permit.danced();
-        Ok(Rendered::new(&dance, body, format, waited, room))
+        Ok(Rendered::new(&dance, body, format, room))
     }
     .await;
     order.presence.answered();
@@ -135,21 +134,13 @@ pub(crate) struct Rendered {
 }
 
 impl Rendered {
-    pub(crate) fn new(
-        dance: &Dance,
-        body: Vec<u8>,
-        format: OutputFormat,
-        waited: Duration,
-        room: Share,
-    ) -> Self {
-        let mut timings = dance.timings;
-        timings.queue += waited;
+    pub(crate) fn new(dance: &Dance, body: Vec<u8>, format: OutputFormat, room: Share) -> Self {
         Self {
             body,
             format,
             seed: dance.seed,
             tail: dance.tail.as_ref().map(crate::format::Tail::to_text),
-            timings,
+            timings: dance.timings,
             warnings: dance.warnings.clone(),
             room,
         }

@@ -52,9 +52,7 @@ pub(crate) async fn ready(State(state): State<SharedState>) -> Result<Json<Statu
     if state.lifecycle.is_draining() {
         return Err(state.draining());
     }
-    if !state.loaded()?.engine.is_alive() {
-        return Err(ServerError::ModelStopped);
-    }
+    state.engine()?;
     Ok(Json(Status { status: "ready" }))
 }
 

@@ -176,7 +176,7 @@ pub(super) struct StageArguments {
     #[arg(long, value_name = "FILE.pt")]
     pub(super) init: Option<PathBuf>,
 
-    /// Folder of music features (gpt) [default: `data.cache` of the settings]
+    /// Folder of music features (gpt, actor-critic, adapt) [default: `data.cache` of the settings]
     #[arg(long, value_name = "DIR")]
     pub(super) cache: Option<PathBuf>,
 

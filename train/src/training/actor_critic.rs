@@ -358,7 +358,7 @@ mod tests {
     use super::*;
     use crate::{
         nn::GptNet,
-        training::{Limits, gpt::MusicScale, gpt::random, runner::run},
+        training::{Limits, gpt::random, music_scale::MusicScale, runner::run},
     };
 
     const COLUMNS: usize = 3;

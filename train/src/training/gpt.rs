@@ -3,12 +3,11 @@
 use std::{collections::BTreeSet, io::Write, path::Path};
 
 use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax, backend::Backend};
-use ndarray::ArrayView1;
 
 use super::{
-    Config, Dances, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
+    Config, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
     codes::{Augmentation, Codes},
-    config::{GptConfig, Hear},
+    music_scale::MusicScale,
     runner::{Losses, Plan, WEIGHT, Work},
     saved::Saved,
     slips::{Disturbance, Slips},
@@ -18,130 +17,14 @@ use super::{
 use crate::{
     Tensor,
     checkpoint::Checkpoint,
-    data::{CropPlan, Draw, PHASES, Training, rows_beside},
+    data::{CropPlan, Draw, PHASES, rows_beside},
     nn::{GptNet, GptSizes, Kernels, Parameters, Store, Trainable, random_gpt},
-    weights::{GptWeights, Linear},
+    weights::GptWeights,
 };
-use bailando::features::{BEAT_COLUMN, COLUMNS, ONSET_COLUMN};
-
-/// Music columns that hardly move are not blown up beyond this.
-const SMALLEST_SPREAD: f32 = 1e-3;
 
 /// What the generators of replaced codes and of slips are seeded with, beside the run's seed.
 const NOISE_SEED: u64 = 0x6E6F_6973;
 const SLIP_SEED: u64 = 0x736C_6970;
-
-/// The spread of a column that is not heard: the largest that can be saved.
-const MUTED: f32 = f32::MAX;
-
-/// Mean and spread of each music column; training sees `(row - mean) / spread`.
-#[derive(Clone, Debug)]
-pub(super) struct MusicScale {
-    pub(super) mean: Vec<f32>,
-    pub(super) spread: Vec<f32>,
-}
-
-impl MusicScale {
-    /// Over the first phase of all songs; dances weigh the same however many songs they have.
-    fn measure(dances: &Dances<Training>, columns: usize, config: &GptConfig) -> Self {
-        let mut scale = Self {
-            mean: vec![0.0; columns],
-            spread: vec![1.0; columns],
-        };
-        if config.standardise_music {
-            scale.standardise(dances);
-        }
-        if config.hear == Hear::Rhythm {
-            scale
-                .mute(|column| column < COLUMNS && column != ONSET_COLUMN && column != BEAT_COLUMN);
-        }
-        scale
-    }
-
-    /// That of a stage's checkpoint.
-    pub(super) fn restore(saved: &Saved) -> Result<Self, String> {
-        let column = |name| Ok::<_, String>(saved.tensor(name)?.data().to_vec());
-        Ok(Self {
-            mean: column("music.mean")?,
-            spread: column("music.spread")?,
-        })
-    }
-
-    /// Without some columns: they weigh nothing, here and when folded.
-    fn mute(&mut self, is_muted: impl Fn(usize) -> bool) {
-        for (column, spread) in self.spread.iter_mut().enumerate() {
-            if is_muted(column) {
-                *spread = MUTED;
-            }
-        }
-    }
-
-    fn standardise(&mut self, dances: &Dances<Training>) {
-        let columns = self.mean.len();
-        let (mut total, mut sums) = (0.0_f64, vec![[0.0_f64; 2]; columns]);
-        for piece in dances.pieces() {
-            let weight = 1.0 / piece.songs().len() as f64;
-            for row in piece.songs().iter().flat_map(|song| song.phase(0).rows()) {
-                total += weight;
-                for ([sum, squares], &value) in sums.iter_mut().zip(row) {
-                    *sum += weight * f64::from(value);
-                    *squares += weight * f64::from(value) * f64::from(value);
-                }
-            }
-        }
-        for (column, [sum, squares]) in sums.into_iter().enumerate() {
-            let mean = sum / total;
-            let variance = (squares / total - mean * mean).max(0.0);
-            self.mean[column] = mean as f32;
-            self.spread[column] = (variance.sqrt() as f32).max(SMALLEST_SPREAD);
-        }
-    }
-
-    /// A row as training sees it.
-    pub(super) fn seen<'a>(&'a self, row: ArrayView1<'a, f32>) -> impl Iterator<Item = f32> + 'a {
-        let scale = self.mean.iter().zip(&self.spread);
-        row.into_iter()
-            .zip(scale)
-            .map(|(&value, (mean, &spread))| match spread {
-                MUTED => 0.0,
-                spread => (value - mean) / spread,
-            })
-    }
-
-    /// The same map for rows that are not scaled: what is exported.
-    pub(super) fn fold(&self, music: &Linear) -> Linear {
-        let columns = self.mean.len();
-        let weight = Tensor::from_fn(music.weight.shape().to_vec(), |flat| {
-            match self.spread[flat % columns] {
-                MUTED => 0.0,
-                spread => music.weight.data()[flat] / spread,
-            }
-        });
-        let bias = Tensor::from_fn(music.bias.shape().to_vec(), |channel| {
-            let row = weight.data()[channel * columns..].iter().zip(&self.mean);
-            music.bias.data()[channel] - row.map(|(weight, mean)| weight * mean).sum::<f32>()
-        });
-        Linear { weight, bias }
-    }
-
-    /// The opposite of [`MusicScale::fold`].
-    fn unfold(&self, music: &Linear) -> Linear {
-        let columns = self.mean.len();
-        let bias = Tensor::from_fn(music.bias.shape().to_vec(), |channel| {
-            let row = music.weight.data()[channel * columns..]
-                .iter()
-                .zip(&self.mean);
-            music.bias.data()[channel] + row.map(|(weight, mean)| weight * mean).sum::<f32>()
-        });
-        let weight = Tensor::from_fn(music.weight.shape().to_vec(), |flat| {
-            match self.spread[flat % columns] {
-                MUTED => 0.0,
-                spread => music.weight.data()[flat] * spread,
-            }
-        });
-        Linear { weight, bias }
-    }
-}
 
 pub(super) struct GptWork<'a, A: Trainable> {
     config: &'a Config,
@@ -172,6 +55,91 @@ pub(super) fn random(config: &Config, columns: usize) -> GptWeights {
     random_gpt(sizes, config.run.seed ^ 2)
 }
 
+/// What training starts from.
+pub(super) struct Start {
+    pub(super) net: GptNet,
+    pub(super) store: Store,
+    pub(super) scale: MusicScale,
+}
+
+impl Start {
+    /// Weights of `init`, a run's checkpoint or an official one, else random ones.
+    pub(super) fn read(
+        config: &Config,
+        set: &MotionSet,
+        columns: usize,
+        init: Option<&Path>,
+    ) -> Result<Self, TrainError> {
+        let mut store = Store::default();
+        let net = config
+            .ablation
+            .network(&random(config, columns), &mut store);
+        let scale = MusicScale::measure(&set.training, columns, &config.gpt);
+        let start = Self { net, store, scale };
+        let Some(path) = init else {
+            return Ok(start);
+        };
+        let state = |message: String| TrainError::State {
+            path: path.to_owned(),
+            message,
+        };
+        match Saved::of_extension(path)? {
+            Some(saved) => start.with_saved(config, &saved).map_err(state),
+            None => {
+                let checkpoint = &mut Checkpoint::open(path)?;
+                let weights = GptWeights::from_checkpoint(checkpoint, config.gpt.heads)?;
+                start.with_official(config, weights).map_err(state)
+            }
+        }
+    }
+
+    fn with_saved(self, config: &Config, saved: &Saved) -> Result<Self, String> {
+        Ok(Self {
+            store: saved.fill(WEIGHT, &self.store)?,
+            scale: MusicScale::restore_for(&config.gpt, saved)?,
+            net: self.net,
+        })
+    }
+
+    /// The weights of plain features are brought to the scale of the training music.
+    fn with_official(self, config: &Config, mut weights: GptWeights) -> Result<Self, String> {
+        let mut store = Store::default();
+        let sizes = "is of other sizes than [gpt] and [vqvae] say";
+        if weights.music.weight.shape().get(1) != Some(&self.scale.mean.len()) {
+            return Err(sizes.into());
+        }
+        weights.music = self.scale.unfold(&weights.music);
+        let net = config.ablation.network(&weights, &mut store);
+        if !store.fits(&self.store) {
+            return Err(sizes.into());
+        }
+        Ok(Self { net, store, ..self })
+    }
+}
+
+/// The windows that are learned from.
+fn windows(config: &Config, set: &MotionSet) -> Windows {
+    let stage = &config.gpt;
+    let crops = CropPlan {
+        frames: (stage.block + 1) * FRAMES_PER_CODE,
+        stride: stage.stride * FRAMES_PER_CODE,
+        mirror: config.data.mirror,
+    };
+    let choices = set.training.music_choices(config.gpt_phases());
+    Windows::new(crops, choices, config.run.seed ^ 2)
+}
+
+/// Start phases that codes of the training split are needed for.
+fn code_phases(config: &Config, set: &MotionSet) -> usize {
+    // A slip may be of any number of frames.
+    if Slips::new(&config.gpt).is_some() {
+        return PHASES;
+    }
+    let pieces = set.training.pieces().iter();
+    let drawn = pieces.map(|piece| piece.phases(config.gpt_phases()));
+    drawn.max().unwrap_or(1)
+}
+
 impl<'a, A: Trainable> GptWork<'a, A> {
     pub(super) fn new(
         config: &'a Config,
@@ -189,17 +157,12 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         let Some(columns) = songs.next().map(|song| song.phase(0).ncols()) else {
             return Err(too_short);
         };
-        let crops = CropPlan {
-            frames: (stage.block + 1) * FRAMES_PER_CODE,
-            stride: stage.stride * FRAMES_PER_CODE,
-            mirror: config.data.mirror,
-        };
-        let choices = set.training.music_choices(config.gpt_phases());
-        let windows = Windows::new(crops, choices, config.run.seed ^ 2);
+        let windows = windows(config, set);
         if windows.len() == 0 {
             return Err(too_short);
         }
         let frozen = Trained::<A::InnerBackend>::read(config, device)?;
+        let start = Start::read(config, set, columns, init)?;
         let mut encode = |pieces: &[MotionPiece], mirror, phases: usize| {
             let wanted = Augmentation {
                 mirror,
@@ -208,64 +171,26 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             };
             Codes::encode(&frozen, pieces, wanted, device, output)
         };
-        let data = &config.data;
-        // A slip may be of any number of frames.
-        let phases = match Slips::new(stage) {
-            Some(_) => PHASES,
-            None => {
-                let pieces = set.training.pieces().iter();
-                let drawn = pieces.map(|piece| piece.phases(config.gpt_phases()));
-                drawn.max().unwrap_or(1)
-            }
-        };
-        let codes = encode(set.training.pieces(), data.mirror, phases);
+        let phases = code_phases(config, set);
+        let codes = encode(set.training.pieces(), config.data.mirror, phases);
         let test_codes = set.test.as_ref();
         let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
-        let mut scale = MusicScale::measure(&set.training, columns, stage);
-        let mut store = Store::default();
-        let mut net = config
-            .ablation
-            .network(&random(config, columns), &mut store);
-        if let Some(path) = init {
-            let state = |message: String| TrainError::State {
-                path: path.to_owned(),
-                message,
-            };
-            match Saved::of_extension(path)? {
-                Some(saved) => {
-                    store = saved.fill(WEIGHT, &store).map_err(state)?;
-                    scale = MusicScale::restore(&saved).map_err(state)?;
-                }
-                None => {
-                    let checkpoint = &mut Checkpoint::open(path)?;
-                    let mut weights = GptWeights::from_checkpoint(checkpoint, stage.heads)?;
-                    weights.music = scale.unfold(&weights.music);
-                    let mut found = Store::default();
-                    net = config.ablation.network(&weights, &mut found);
-                    if !found.fits(&store) {
-                        let message = "is of other sizes than [gpt] and [vqvae] say";
-                        return Err(state(message.into()));
-                    }
-                    store = found;
-                }
-            }
-        }
         let plan = Plan {
             name: "gpt",
             run: &config.run,
             training: &stage.training,
             settings: set.settings(config, Stage::Gpt)?,
-            store,
+            store: start.store,
             windows: windows.len(),
         };
         let work = Self {
             config,
             set,
             windows,
-            net,
+            net: start.net,
             codes,
             test_codes,
-            scale,
+            scale: start.scale,
             device: device.clone(),
         };
         Ok((plan, work))
@@ -426,50 +351,5 @@ impl<A: Trainable> Work<A> for GptWork<'_, A> {
     fn restore(&mut self, saved: &Saved) -> Result<(), String> {
         self.scale = MusicScale::restore(saved)?;
         Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_folded_scale_gives_plain_rows_what_training_saw_and_muted_columns_nothing() {
-        let mut scale = MusicScale {
-            mean: vec![1.0, -2.0, 30.0],
-            spread: vec![0.5, 4.0, 10.0],
-        };
-        scale.mute(|column| column == 2);
-        let trained = Linear {
-            weight: Tensor::from_fn(vec![2, 3], |flat| flat as f32 - 2.0),
-            bias: Tensor::from_fn(vec![2], |channel| channel as f32),
-        };
-        let apply = |linear: &Linear, row: [f32; 3]| {
-            [0, 1].map(|channel| {
-                let weights = &linear.weight.data()[3 * channel..][..3];
-                let sum: f32 = weights.iter().zip(row).map(|(weight, x)| weight * x).sum();
-                linear.bias.data()[channel] + sum
-            })
-        };
-        let folded = scale.fold(&trained);
-        for row in [[0.0, 0.0, 0.0], [3.0, 1.0, -7.0], [3.0, 1.0, 900.0]] {
-            let seen =
-                [0, 1, 2].map(|column| (row[column] - scale.mean[column]) / scale.spread[column]);
-            let (plain, wanted) = (apply(&folded, row), apply(&trained, seen));
-            for (plain, wanted) in plain.into_iter().zip(wanted) {
-                assert!((plain - wanted).abs() < 1e-4, "{plain} {wanted}");
-            }
-        }
-        let back = scale.unfold(&folded);
-        let heard =
-            [0, 1, 3, 4].map(|flat| (back.weight.data()[flat], trained.weight.data()[flat]));
-        assert!(
-            heard
-                .iter()
-                .all(|(back, weight)| (back - weight).abs() < 1e-5),
-            "{heard:?}"
-        );
-        assert_eq!(back.bias.data(), trained.bias.data());
-        assert!([2, 5].iter().all(|&flat| folded.weight.data()[flat] == 0.0));
     }
 }

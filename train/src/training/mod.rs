@@ -13,10 +13,13 @@ mod error;
 mod export;
 mod generate;
 mod gpt;
+#[cfg(test)]
+mod init_tests;
 mod input;
 mod keep;
 mod lesson;
 mod metrics;
+mod music_scale;
 mod plots;
 mod policy;
 mod progress;

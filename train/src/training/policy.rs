@@ -5,8 +5,9 @@ use ndarray::Array2;
 use super::{
     Config, Stage, TrainError,
     config::RunConfig,
-    gpt::{MusicScale, random},
+    gpt::random,
     keep::{is_finished, read_kept},
+    music_scale::MusicScale,
     runner::{WEIGHT, checkpoint_path},
     saved::Saved,
 };

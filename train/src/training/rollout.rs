@@ -93,7 +93,7 @@ impl Repertoire {
     pub(super) fn excerpts(&self, epoch: u64) -> Vec<Excerpt> {
         let mut random = generator(self.seed ^ EXCERPTS, epoch);
         let order = shuffled((0..self.songs.len()).collect(), &mut random);
-        let takes = self.takes.max(1);
+        let takes = self.takes;
         let songs = order.iter().cycle().take(self.pieces.div_ceil(takes));
         let excerpts = songs.flat_map(|&song| {
             let codes = self.longest(&self.songs[song]);
@@ -129,7 +129,7 @@ impl Repertoire {
         judge: &Judge,
     ) -> Rollout {
         let excerpts = self.excerpts(epoch);
-        let takes = self.takes.max(1);
+        let takes = self.takes;
         let wishes = excerpts.iter().enumerate().map(|(piece, &excerpt)| {
             let random = |piece: usize| generator(self.seed ^ PIECES, epoch << 32 | piece as u64);
             // All takes start as the first does.

@@ -108,10 +108,15 @@ pub(super) fn run<A: Trainable, W: Work<A>>(
     let mut state = State::<A>::start(plan, work, device, &folder)?;
     let (columns, test_columns) = (W::COLUMNS, W::TEST_COLUMNS);
     let path = folder.join("metrics.csv");
-    let mut metrics = Metrics::open(path, columns, test_columns, state.step)?;
+    let metrics = Metrics::open(path, columns, test_columns, state.step)?;
     let total = plan.training.total_steps(plan.windows);
     let first_step = state.step;
-    let progress = Progress::start(plan.name, first_step, total);
+    let mut journal = Journal {
+        total,
+        metrics,
+        progress: Progress::start(plan.name, first_step, total),
+        output,
+    };
     let mut plots = Plots::new(folder, plan.name);
     let mut saved_at = Instant::now();
     while state.step < total {
@@ -122,25 +127,17 @@ pub(super) fn run<A: Trainable, W: Work<A>>(
         );
         let rate = plan.training.rate_at(step, total);
         state.advance(plan.training, work, rate);
-        report::<A, W>(
-            plan,
-            work,
-            &mut state,
-            total,
-            &mut metrics,
-            &progress,
-            output,
-        )?;
+        journal.report(plan, work, &mut state)?;
         let done = state.step;
         let paused = limits.steps.is_some_and(|most| done - first_step >= most)
             || limits
                 .seconds
-                .is_some_and(|most| progress.seconds() >= most);
+                .is_some_and(|most| journal.progress.seconds() >= most);
         let stops = done == total || paused;
         if stops || saved_at.elapsed().as_secs_f64() >= plan.run.checkpoint_seconds {
-            metrics.sync()?;
+            journal.metrics.sync()?;
             // Last of all the checkpoint: once it says that the stage is finished, nothing is done again.
-            plots.draw(stops, output);
+            plots.draw(stops, journal.output);
             state.save(plan, work, total)?;
             saved_at = Instant::now();
         }
@@ -164,37 +161,45 @@ fn lock(folder: &Path) -> Result<File, TrainError> {
     }
 }
 
-/// What there is to say about the last step: a test, a line of metrics, a line of progress.
-fn report<A: Trainable, W: Work<A>>(
-    plan: &Plan<'_>,
-    work: &W,
-    state: &mut State<A>,
+/// Where a stage tells how far it is.
+struct Journal<'a, O> {
+    /// Steps of the whole stage.
     total: u64,
-    metrics: &mut Metrics,
-    progress: &Progress,
-    output: &mut impl Write,
-) -> Result<(), TrainError> {
-    let (done, run) = (state.step, plan.run);
-    let due = |every: u64| every > 0 && (done.is_multiple_of(every) || done == total);
-    let test_due = due(run.test_steps) && !W::TEST_COLUMNS.is_empty();
-    if !test_due && !due(run.log_steps) {
-        return Ok(());
+    metrics: Metrics,
+    progress: Progress,
+    output: &'a mut O,
+}
+
+impl<O: Write> Journal<'_, O> {
+    /// What there is to say about the last step: a test, a line of metrics, a line of progress.
+    fn report<A: Trainable, W: Work<A>>(
+        &mut self,
+        plan: &Plan<'_>,
+        work: &W,
+        state: &mut State<A>,
+    ) -> Result<(), TrainError> {
+        let (done, run) = (state.step, plan.run);
+        let due = |every: u64| every > 0 && (done.is_multiple_of(every) || done == self.total);
+        let test_due = due(run.test_steps) && !W::TEST_COLUMNS.is_empty();
+        if !test_due && !due(run.log_steps) {
+            return Ok(());
+        }
+        let means = state.means::<W>(plan.name)?;
+        let tests = if test_due {
+            state.test(plan, work)?
+        } else {
+            None
+        };
+        let rate = plan.training.rate_at(done - 1, self.total);
+        self.metrics.append(done, rate, &means, tests.as_deref())?;
+        let mut losses = format!("loss {:.5}", means.first().unwrap_or(&f32::NAN));
+        for (column, value) in W::TEST_COLUMNS.iter().zip(tests.iter().flatten()) {
+            losses.push_str(&format!("  {column} {value:.5}"));
+        }
+        if let Some(best) = state.best.filter(|_| tests.is_some()) {
+            losses.push_str(&format!("  (best {:.5} at {})", best.value, best.step));
+        }
+        self.progress.show(done, &losses, self.output);
+        Ok(())
     }
-    let means = state.means::<W>(plan.name)?;
-    let tests = if test_due {
-        state.test(plan, work)?
-    } else {
-        None
-    };
-    let rate = plan.training.rate_at(done - 1, total);
-    metrics.append(done, rate, &means, tests.as_deref())?;
-    let mut losses = format!("loss {:.5}", means.first().unwrap_or(&f32::NAN));
-    for (column, value) in W::TEST_COLUMNS.iter().zip(tests.iter().flatten()) {
-        losses.push_str(&format!("  {column} {value:.5}"));
-    }
-    if let Some(best) = state.best.filter(|_| tests.is_some()) {
-        losses.push_str(&format!("  (best {:.5} at {})", best.value, best.step));
-    }
-    progress.show(done, &losses, output);
-    Ok(())
 }

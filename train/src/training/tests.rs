@@ -28,9 +28,9 @@ use crate::{
 
 type Tracked = Autodiff<Flex>;
 
-const FRAMES: usize = 301;
+pub(super) const FRAMES: usize = 301;
 
-fn config(folder: &Path) -> Config {
+pub(super) fn config(folder: &Path) -> Config {
     let mut config = Config::parse(include_str!("../../presets/tiny.toml")).unwrap();
     config.run.folder = folder.to_owned();
     config.vqvae.training.steps = 3;
@@ -56,7 +56,7 @@ fn dance(frames: usize, seed: u32) -> Positions {
     testing::dance(&skeleton(0.93), frames, seed)
 }
 
-fn whole<S: SplitKind>(frames: usize) -> Dances<S> {
+pub(super) fn whole<S: SplitKind>(frames: usize) -> Dances<S> {
     Dances::new(vec![piece(dance(frames, 3), 1, 1)])
 }
 

@@ -31,6 +31,10 @@ impl ExportConfig {
                 return Err(format!("{name} ({value}) must lie in 0..={most}"));
             }
         }
+        let height = self.root_height;
+        if !(height > 0.0 && height.is_finite()) {
+            return Err(format!("root_height ({height}) must be above 0"));
+        }
         if !(1..=MAX_CANDIDATES).contains(&self.candidates) {
             let candidates = self.candidates;
             return Err(format!(

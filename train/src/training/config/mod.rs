@@ -108,6 +108,15 @@ pub struct RunConfig {
     pub test_steps: u64,
 }
 
+impl RunConfig {
+    fn check(&self) -> Result<(), String> {
+        if self.log_steps == 0 {
+            return Err("log_steps must be at least 1".into());
+        }
+        not_negative([("checkpoint_seconds", self.checkpoint_seconds)])
+    }
+}
+
 impl Config {
     /// Reads a file, laid over the published settings.
     ///
@@ -162,10 +171,7 @@ impl Config {
                     .into(),
             );
         }
-        if self.run.log_steps == 0 {
-            return Err("run.log_steps must be at least 1".into());
-        }
-        Ok(())
+        within("run.", self.run.check())
     }
 
     /// Start phases that the GPT learns from.
@@ -188,6 +194,16 @@ fn at_least_one<const N: usize>(sizes: [(&str, usize); N]) -> Result<(), String>
         Some((name, _)) => Err(format!("{name} must be at least 1")),
         None => Ok(()),
     }
+}
+
+/// Refuses numbers below 0, infinities, and what is no number.
+fn not_negative<const N: usize>(numbers: [(&str, f64); N]) -> Result<(), String> {
+    let wrong = numbers
+        .into_iter()
+        .find(|(_, value)| !(*value >= 0.0 && value.is_finite()));
+    wrong.map_or(Ok(()), |(name, value)| {
+        Err(format!("{name} ({value}) must be a number of 0 or more"))
+    })
 }
 
 /// Replaces values of `base` by those of `other`, table by table.
@@ -236,6 +252,15 @@ mod tests {
             "[data]\ncount_periods = [4, 0]",
             "[data]\ncount_periods = [4]\nprofile = \"librosa-0.8.1\"",
             "[data]\nframe = \"sideways\"",
+            "[run]\nlog_steps = 0",
+            "[run]\ncheckpoint_seconds = nan",
+            "[vqvae]\nvelocity_weight = -1.0",
+            "[vqvae]\nacceleration_weight = nan",
+            "[vqvae]\ncommitment = -0.1",
+            "[vqvae]\nrestart_below = inf",
+            "[vqvae]\ndecay = 1.0",
+            "[vqvae]\ndecay = nan",
+            "[velocity]\ndifference_weight = -1.0",
             "[gpt]\nheads = 5",
             "[gpt]\nphases = 2",
             "[gpt]\ncode_noise = 1.0",
@@ -244,6 +269,12 @@ mod tests {
             "[gpt.training]\nrate = 0",
             "[actor_critic]\nactor_steps = 0",
             "[actor_critic]\ntemperature = -1.0",
+            "[actor_critic]\nslow_weight = nan",
+            "[actor_critic]\ntakes = 0",
+            "[adapt.training]\nclip = nan",
+            "[vqvae.training]\nfactor = -0.1",
+            "[gpt.training]\nmilestones = [0.5, 100.0]",
+            "[export]\nroot_height = nan",
             "[export]\ntemperature = 11.0",
             "[export]\nguidance = -0.5",
             "[export]\ncandidates = 0",

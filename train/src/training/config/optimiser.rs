@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::not_negative;
+
 /// Length and optimiser of a stage.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -40,7 +42,14 @@ impl TrainingConfig {
         if self.betas.iter().any(|beta| !(0.0..1.0).contains(beta)) {
             return Err(format!("betas ({:?}) must lie in 0..1", self.betas));
         }
-        Ok(())
+        let shares = 0.0..=1.0;
+        if self.milestones.iter().any(|share| !shares.contains(share)) {
+            return Err(format!(
+                "milestones ({:?}) must lie in 0..=1: they are shares of the run",
+                self.milestones
+            ));
+        }
+        not_negative([("factor", self.factor), ("clip", self.clip)])
     }
 
     /// Steps of the whole stage over `windows` different windows.

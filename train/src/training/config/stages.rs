@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{TrainingConfig, at_least_one};
+use super::{TrainingConfig, at_least_one, not_negative};
 use crate::training::{FRAMES_PER_CODE, reward::BeatReward};
 
 /// Which weights of a finished stage are used afterwards.
@@ -41,6 +41,16 @@ impl VqVaeConfig {
             ("embedding", self.embedding),
             ("codes", self.codes),
         ])?;
+        not_negative([
+            ("velocity_weight", self.velocity_weight),
+            ("acceleration_weight", self.acceleration_weight),
+            ("commitment", self.commitment),
+            ("restart_below", self.restart_below),
+        ])?;
+        let decay = self.decay;
+        if !(0.0..1.0).contains(&decay) {
+            return Err(format!("decay ({decay}) must lie in 0..1"));
+        }
         check_crops(self.frames, self.stride)
     }
 }
@@ -59,6 +69,7 @@ pub struct VelocityConfig {
 
 impl VelocityConfig {
     pub(super) fn check(&self) -> Result<(), String> {
+        not_negative([("difference_weight", self.difference_weight)])?;
         check_crops(self.frames, self.stride)
     }
 }
@@ -182,22 +193,17 @@ impl ActorCriticConfig {
         if self.actor_steps == 0 || self.critic_steps == 0 {
             return Err("actor_steps and critic_steps must be at least 1".into());
         }
-        at_least_one([("critic_layers", self.critic_layers)])?;
-        let weights = [
+        at_least_one([("critic_layers", self.critic_layers), ("takes", self.takes)])?;
+        not_negative([
             ("beat_weight", self.beat_weight),
             ("consistency_weight", self.consistency_weight),
+            ("slow_weight", self.slow_weight),
             ("discount", self.discount),
             ("trace", self.trace),
             ("entropy_weight", self.entropy_weight),
             ("divergence_weight", self.divergence_weight),
             ("temperature", self.temperature),
-        ];
-        let wrong = weights
-            .into_iter()
-            .find(|(_, value)| !(*value >= 0.0 && value.is_finite()));
-        wrong.map_or(Ok(()), |(name, value)| {
-            Err(format!("{name} ({value}) must be a number of 0 or more"))
-        })
+        ])
     }
 }
 

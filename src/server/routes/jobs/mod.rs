@@ -1,16 +1,16 @@
 //! `/jobs`: dances that are asked for now and fetched later.
 
-use std::{sync::Arc, time::Duration};
+mod life;
+
+use std::sync::Arc;
 
 use axum::{
     Json,
     extract::{Extension, Path, Request, State, rejection::PathRejection},
-    http::{HeaderValue, StatusCode, Uri, header},
+    http::{HeaderMap, HeaderValue, StatusCode, Uri, header},
     response::{IntoResponse, Response},
 };
 use serde::Serialize;
-use tokio::{sync::AcquireError, time::Instant};
-use tokio_util::task::task_tracker::TaskTrackerToken;
 use tracing::Instrument;
 use utoipa::ToSchema;
 use uuid::Uuid;
@@ -22,8 +22,9 @@ use crate::{
         body::IncomingBody,
         envelope::request_id,
         error::{ErrorBody, Report, ServerError},
-        intake::{self, Order, Purpose},
-        jobs::{Finished, Job, JobState},
+        intake::{self, Purpose},
+        jobs::{Job, JobState},
+        negotiate,
         options::{AudioFile, GenerateForm, RequestOptions, shorten},
         routes::generate::Rendered,
         state::SharedState,
@@ -31,12 +32,6 @@ use crate::{
         work,
     },
 };
-
-/// A client that has not asked about its job for so long is not waited for when the server stops.
-const AWAITED: Duration = Duration::from_secs(5);
-/// And no longer than this in all, once the job is done.
-const AWAITED_AT_MOST: Duration = Duration::from_secs(10);
-const LOOK_AGAIN: Duration = Duration::from_millis(50);
 
 /// How far a job is.
 #[derive(Debug, Serialize, ToSchema)]
@@ -125,7 +120,7 @@ impl JobStatus {
         (status = 500, description = "The server is at fault.", body = ErrorBody),
         (
             status = 503,
-            description = "The model is being loaded, the server is shutting down, or the song was not here in time.",
+            description = "The model is being loaded or has stopped, the server is shutting down, or the song was not here in time.",
             body = ErrorBody,
             headers(("retry-after" = u64, description = "Seconds to wait."))
         ),
@@ -156,88 +151,11 @@ pub(crate) async fn create(
     let location = format!("/jobs/{}", job.id);
     let status = JobStatus::of(&job);
     let span = tracing::info_span!("job", id = %job.id);
-    tokio::spawn(live(Arc::clone(&state), order, job, under_way).instrument(span));
+    tokio::spawn(life::live(Arc::clone(&state), order, job, under_way).instrument(span));
     let location = HeaderValue::try_from(location)
         .map_err(|error| ServerError::Internal(error.to_string()))?;
     let headers = [(header::LOCATION, location)];
     Ok((StatusCode::ACCEPTED, headers, Json(status)).into_response())
-}
-
-/// A job's life, until nobody needs it any more.
-async fn live(state: SharedState, mut order: Order, job: Arc<Job>, under_way: TaskTrackerToken) {
-    let done = tokio::select! {
-        biased;
-        () = job.deleted.cancelled() => return,
-        done = run(&state, &mut order, &job) => done,
-        () = state.lifecycle.aborted() => Err(state.draining()),
-    };
-    let Order {
-        options,
-        shape,
-        presence,
-        ..
-    } = order;
-    job.turn(match done {
-        Ok(dance) => JobState::Done(Arc::new(Finished {
-            dance: Arc::new(dance),
-            options,
-            format: shape.format,
-        })),
-        Err(error) => {
-            if error.stops_work() {
-                job.watch.cancel.cancel();
-            }
-            let report = error.report();
-            state.metrics.rejected(report.error_type);
-            JobState::Failed(report.repeated(&job.request_id))
-        }
-    });
-    presence.answered();
-    // A result that nobody could fetch would be lost: the server stops only when it was fetched, or when
-    // nobody asks for it any more.
-    let wait = async {
-        state.lifecycle.draining().await;
-        // Within the time that there is: nothing is lost by then.
-        let most = AWAITED_AT_MOST.min(state.limits.shutdown_timeout.0 / 2);
-        let until = Instant::now() + most;
-        while job.is_awaited(AWAITED) && Instant::now() < until {
-            tokio::time::sleep(LOOK_AGAIN).await;
-        }
-    };
-    tokio::select! {
-        () = wait => {}
-        () = job.fetched.cancelled() => {}
-        () = job.deleted.cancelled() => {}
-        () = tokio::time::sleep(state.limits.job_ttl.0) => {
-            state.jobs.remove(job.id);
-        }
-    }
-    drop(under_way);
-    // Fetched ones are kept for their time too, in case that somebody asks again.
-    if job.fetched.is_cancelled() {
-        tokio::select! {
-            () = job.deleted.cancelled() => {}
-            () = state.lifecycle.draining() => {}
-            () = tokio::time::sleep(state.limits.job_ttl.0) => {
-                state.jobs.remove(job.id);
-            }
-        }
-    }
-}
-
-async fn run(
-    state: &SharedState,
-    order: &mut Order,
-    job: &Job,
-) -> Result<crate::format::Dance, ServerError> {
-    let closed = |closed: AcquireError| ServerError::Internal(closed.to_string());
-    let _slot = state.job_slots.acquire().await.map_err(closed)?;
-    let permit = state.admission.admit_patient().await?;
-    order.hold_audio(state).await?;
-    job.turn(JobState::Running);
-    let danced = work::dance(&state.metrics, order.work(), permit, "job").await?;
-    danced.permit.danced();
-    Ok(danced.dance)
 }
 
 /// Says how far a job is.
@@ -269,15 +187,16 @@ pub(crate) async fn status(
 
 /// Gives a job's dance, in any format.
 ///
-/// The options that say how a dance is written may be given again: format, include, encoding, bvh_unit.
-/// A job that failed is answered as `POST /generate` would have been.
+/// The options that say how a dance is written may be given again: format, include, encoding, bvh_unit. Without
+/// `format` the Accept header chooses; where it has no preference, the dance comes as it was ordered. A job
+/// that failed is answered as `POST /generate` would have been.
 #[utoipa::path(
     get,
     path = "/jobs/{id}/result",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job's id."),
-        ("format" = Option<String>, Query, description = "Format of the dance: json or bvh."),
+        ("format" = Option<String>, Query, description = "Format of the dance: json or bvh. Wins over the Accept header."),
         ("include" = Option<String>, Query, description = "`rotations` adds local rotations and the root's path to the JSON."),
         ("encoding" = Option<String>, Query, description = "How the JSON carries large arrays: json or base64."),
         ("bvh_unit" = Option<String>, Query, description = "Unit of lengths in BVH: cm or m."),
@@ -295,6 +214,7 @@ pub(crate) async fn status(
         (status = 400, description = "An option is wrong.", body = ErrorBody),
         (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
         (status = 404, description = "There is no such job.", body = ErrorBody),
+        (status = 406, description = "The Accept header names no format of ours.", body = ErrorBody),
         (status = 409, description = "The job is not done.", body = ErrorBody),
         (status = 415, description = "The song is no audio that is accepted.", body = ErrorBody),
         (status = 422, description = "The song cannot be decoded, or is too short or too long.", body = ErrorBody),
@@ -319,6 +239,7 @@ pub(crate) async fn result(
     Extension(client): Extension<Client>,
     id: Result<Path<String>, PathRejection>,
     uri: Uri,
+    headers: HeaderMap,
 ) -> Result<Response, ServerError> {
     let job = find(&state, client, id)?;
     let asked = RequestOptions::from_query(&uri)?;
@@ -333,22 +254,18 @@ pub(crate) async fn result(
         }
     };
     let options = finished.options.written_as(&asked)?;
-    let format = asked.format.unwrap_or(finished.format);
+    let format = match asked.format {
+        Some(format) => format,
+        None => negotiate::dance(&headers, finished.format)?,
+    };
     let under_way = state.lifecycle.go_on();
     let rendered = state.in_time(async {
-        let closed = |closed: AcquireError| ServerError::Internal(closed.to_string());
-        let _writer = state.writers.acquire().await.map_err(closed)?;
+        let _writer = state.writers.acquire().await?;
         let watch = Watch::new(Arc::clone(&state.metrics));
         let dance = Arc::clone(&finished.dance);
         let body = work::write(&state.metrics, &watch, dance, options, format).await?;
         let room = state.room(body.len()).await?;
-        Ok(Rendered::new(
-            &finished.dance,
-            body,
-            format,
-            Duration::ZERO,
-            room,
-        ))
+        Ok(Rendered::new(&finished.dance, body, format, room))
     });
     let rendered = rendered.await?;
     Ok(rendered.respond(&state, under_way, move || job.fetched.cancel()))

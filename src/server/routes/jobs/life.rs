@@ -1,0 +1,176 @@
+//! A job's life, from its order until nobody needs it any more.
+
+use std::{sync::Arc, time::Duration};
+
+use tokio::time::{Instant, sleep_until};
+use tokio_util::task::task_tracker::TaskTrackerToken;
+
+use crate::{
+    format::Dance,
+    server::{
+        error::ServerError,
+        intake::Order,
+        jobs::{Finished, Job, JobState},
+        state::SharedState,
+        work,
+    },
+};
+
+/// A client that has not asked about its job for so long is not waited for when the server stops.
+const AWAITED: Duration = Duration::from_secs(5);
+/// And no longer than this in all, once the job is done.
+const AWAITED_AT_MOST: Duration = Duration::from_secs(10);
+const LOOK_AGAIN: Duration = Duration::from_millis(50);
+
+/// Works on a job, and keeps what has become of it for its time.
+pub(super) async fn live(
+    state: SharedState,
+    mut order: Order,
+    job: Arc<Job>,
+    under_way: TaskTrackerToken,
+) {
+    let done = tokio::select! {
+        biased;
+        () = job.deleted.cancelled() => return,
+        done = run(&state, &mut order, &job) => done,
+        () = state.lifecycle.aborted() => Err(state.draining()),
+    };
+    let Order {
+        options,
+        shape,
+        presence,
+        ..
+    } = order;
+    job.turn(match done {
+        Ok(dance) => JobState::Done(Arc::new(Finished {
+            dance: Arc::new(dance),
+            options,
+            format: shape.format,
+        })),
+        Err(error) => {
+            if error.stops_work() {
+                job.watch.cancel.cancel();
+            }
+            let report = error.report();
+            state.metrics.rejected(report.error_type);
+            JobState::Failed(report.repeated(&job.request_id))
+        }
+    });
+    presence.answered();
+    keep(state, job, under_way).await;
+}
+
+/// Keeps what has become of a job for its time. A result that nobody could fetch would be lost: the server
+/// stops only when it was fetched, or when nobody asks for it any more.
+async fn keep(state: SharedState, job: Arc<Job>, under_way: TaskTrackerToken) {
+    let expiry = Instant::now() + state.limits.job_ttl.0;
+    let wait = async {
+        state.lifecycle.draining().await;
+        // Within the time that there is: nothing is lost by then.
+        let most = AWAITED_AT_MOST.min(state.limits.shutdown_timeout.0 / 2);
+        let until = Instant::now() + most;
+        while job.is_awaited(AWAITED) && Instant::now() < until {
+            tokio::time::sleep(LOOK_AGAIN).await;
+        }
+    };
+    tokio::select! {
+        () = wait => {}
+        () = job.fetched.cancelled() => {}
+        () = job.deleted.cancelled() => {}
+        () = sleep_until(expiry) => {
+            state.jobs.remove(job.id);
+        }
+    }
+    drop(under_way);
+    // Fetched ones are kept for the rest of their time, in case that somebody asks again.
+    if job.fetched.is_cancelled() {
+        tokio::select! {
+            () = job.deleted.cancelled() => {}
+            () = state.lifecycle.draining() => {}
+            () = sleep_until(expiry) => {
+                state.jobs.remove(job.id);
+            }
+        }
+    }
+}
+
+async fn run(state: &SharedState, order: &mut Order, job: &Job) -> Result<Dance, ServerError> {
+    let ordered = Instant::now();
+    let _slot = state.job_slots.acquire().await?;
+    let mut permit = state.admission.admit_patient().await?;
+    permit.waited = ordered.elapsed();
+    order.hold_audio(state).await?;
+    job.turn(JobState::Running);
+    let danced = work::dance(&state.metrics, order.work(), permit, "job").await?;
+    danced.permit.danced();
+    Ok(danced.dance)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::num::NonZeroUsize;
+
+    use super::*;
+    use crate::server::{
+        access::{Access, Client},
+        config::{Limits, Seconds},
+        metrics::SharedMetrics,
+        state::ServerState,
+        watch::Watch,
+    };
+
+    fn job(state: &SharedState) -> Arc<Job> {
+        let metrics = Arc::clone(&state.metrics);
+        let watch = Watch::new(Arc::clone(&metrics));
+        Job::new(Client::Unknown, "id".to_owned(), watch, metrics)
+    }
+
+    #[tokio::test]
+    async fn nothing_is_left_of_a_job_that_made_room() {
+        let limits = Limits {
+            max_jobs: NonZeroUsize::MIN,
+            ..Limits::default()
+        };
+        let state = ServerState::loading(limits, Access::default(), SharedMetrics::default());
+        let first = job(&state);
+        state.jobs.put(Arc::clone(&first)).unwrap();
+        first.turn(JobState::Failed(ServerError::MissingAudio.report()));
+        first.fetched.cancel();
+        let left = Arc::downgrade(&first);
+        let under_way = state.lifecycle.go_on();
+        let kept = tokio::spawn(keep(Arc::clone(&state), first, under_way));
+        // It is kept, though it was fetched.
+        while state.lifecycle.under_way() > 0 {
+            tokio::task::yield_now().await;
+        }
+        assert!(left.upgrade().is_some());
+        state.jobs.put(job(&state)).unwrap();
+        let ended = tokio::time::timeout(Duration::from_secs(15), kept).await;
+        ended.expect("it is let go at once").unwrap();
+        assert!(left.upgrade().is_none());
+    }
+
+    #[tokio::test]
+    async fn a_fetched_job_is_kept_for_the_rest_of_its_time_and_no_longer() {
+        let time = Duration::from_secs(1);
+        let limits = Limits {
+            job_ttl: Seconds(time),
+            ..Limits::default()
+        };
+        let state = ServerState::loading(limits, Access::default(), SharedMetrics::default());
+        let job = job(&state);
+        let started = Instant::now();
+        let kept = keep(
+            Arc::clone(&state),
+            Arc::clone(&job),
+            state.lifecycle.go_on(),
+        );
+        let fetch = async {
+            tokio::time::sleep(time * 9 / 10).await;
+            job.fetched.cancel();
+        };
+        tokio::join!(kept, fetch);
+        // Counted anew, it would be 1.9 s.
+        assert!((time..time * 18 / 10).contains(&started.elapsed()));
+    }
+}

@@ -1,0 +1,138 @@
+//! What the stages start from with `--init`, in each of its forms; the critic's is beside `actor-critic`.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
+
+use burn_autodiff::Autodiff;
+use burn_flex::{Flex, FlexDevice};
+use ndarray::Array2;
+
+use super::{
+    config::Hear,
+    gpt::Start,
+    runner::WEIGHT,
+    saved::Saved,
+    tests::{FRAMES, config, whole},
+    vqvae::{Halves, VqVaeWork},
+    *,
+};
+use crate::{
+    checkpoint::Checkpoint,
+    data::testing,
+    export::skeleton,
+    weights::{GptWeights, VqVaeWeights},
+};
+
+const HEADS: usize = 4;
+
+fn fixture(name: &str) -> PathBuf {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/fixtures/model");
+    Path::new(folder).join(name)
+}
+
+/// A dance with music of so many columns, which all vary.
+fn set(columns: usize) -> MotionSet {
+    let positions = testing::dance(&skeleton(0.93), FRAMES, 3);
+    let value = |(row, column): (usize, usize)| (row as f32 + 0.3 * column as f32).sin() + 2.0;
+    let rows = Arc::new(Array2::from_shape_fn((1 + FRAMES / 8, columns), value));
+    let piece = MotionPiece::from_positions(positions, MotionFrame::World).unwrap();
+    MotionSet {
+        training: Dances::new(vec![piece.with_song(SongRows::new(vec![rows]).unwrap())]),
+        test: None,
+        songs: Vec::new(),
+    }
+}
+
+#[test]
+fn a_vqvae_starts_from_an_official_checkpoint_of_its_sizes() {
+    let path = fixture("tiny_vqvae.pt");
+    let weights = VqVaeWeights::from_checkpoint(&mut Checkpoint::open(&path).unwrap()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path());
+    config.data.frame = MotionFrame::World;
+    config.vqvae.width = weights.width();
+    let codebook = weights.upper.codebook.shape();
+    (config.vqvae.codes, config.vqvae.embedding) = (codebook[0], codebook[1]);
+    let set = set(3);
+    let start = |config: &Config| {
+        let work = VqVaeWork::<Autodiff<Flex>>::new(config, &set, Some(&path), &FlexDevice);
+        work.map(|(plan, _)| plan.store.entries().to_vec())
+    };
+    let expected = Halves::new(&config, weights);
+    assert_eq!(start(&config).unwrap(), expected.store.entries());
+    config.vqvae.width *= 2;
+    let refused = start(&config).unwrap_err();
+    assert!(matches!(refused, TrainError::State { .. }), "{refused}");
+}
+
+#[test]
+fn a_gpt_starts_from_an_official_checkpoint_as_its_music_is_scaled() {
+    let path = fixture("tiny_gpt.pt");
+    let checkpoint = &mut Checkpoint::open(&path).unwrap();
+    let weights = GptWeights::from_checkpoint(checkpoint, HEADS).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path());
+    let upper = weights.upper_embedding.shape();
+    config.vqvae.codes = upper[0];
+    let gpt = &mut config.gpt;
+    (gpt.channels, gpt.heads) = (upper[1], HEADS);
+    (gpt.base_layers, gpt.head_layers) = (1, weights.blocks.len() - 1);
+    gpt.standardise_music = true;
+    let columns = weights.music.weight.shape()[1];
+    let set_of = |columns| set(columns);
+
+    let start = Start::read(&config, &set_of(columns), columns, Some(&path)).unwrap();
+    let found = start.net.weights(&start.store);
+    assert_eq!(found.upper_head, weights.upper_head);
+    assert_ne!(found.music.weight, weights.music.weight);
+    let folded = start.scale.fold(&found.music);
+    let pairs = folded.weight.data().iter().zip(weights.music.weight.data());
+    for (folded, official) in pairs {
+        assert!((folded - official).abs() < 1e-5, "{folded} {official}");
+    }
+
+    let other = Start::read(&config, &set_of(columns + 8), columns + 8, Some(&path));
+    let refused = other.err().unwrap();
+    assert!(refused.to_string().contains("other sizes"), "{refused}");
+    config.gpt.head_layers += 1;
+    let other = Start::read(&config, &set_of(columns), columns, Some(&path));
+    let refused = other.err().unwrap();
+    assert!(refused.to_string().contains("other sizes"), "{refused}");
+}
+
+#[test]
+fn a_gpt_starts_from_another_run_that_heard_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path());
+    (config.data.mirror, config.data.phases) = (false, 1);
+    config.gpt.training.steps = 2;
+    config.gpt.standardise_music = true;
+    let set = MotionSet {
+        training: whole(FRAMES),
+        test: None,
+        songs: Vec::new(),
+    };
+    for stage in [Stage::VqVae, Stage::Gpt] {
+        let log = &mut Vec::new();
+        train(stage, &config, &set, None, Limits::default(), log).unwrap();
+    }
+    let path = folder.path().join("gpt/checkpoint.safetensors");
+    let start = |config: &Config| Start::read(config, &set, 3, Some(&path));
+    let saved = Saved::read(&path).unwrap().unwrap();
+    let found = start(&config).unwrap();
+    let expected = saved.fill(WEIGHT, &found.store).unwrap();
+    assert_eq!(found.store.entries(), expected.entries());
+    assert_eq!(found.scale.mean, saved.tensor("music.mean").unwrap().data());
+
+    let says = |config: &Config, setting: &str| {
+        let refused = start(config).err().unwrap();
+        assert!(matches!(refused, TrainError::State { .. }), "{refused}");
+        assert!(refused.to_string().contains(setting), "{refused}");
+    };
+    config.gpt.hear = Hear::Rhythm;
+    says(&config, "gpt.hear");
+    (config.gpt.hear, config.gpt.standardise_music) = (Hear::All, false);
+    says(&config, "gpt.standardise_music");
+}
