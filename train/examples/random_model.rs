@@ -9,7 +9,7 @@ use anyhow::Context;
 use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
 use bailando_train::{
     Tensor,
-    export::{Description, write_model_directory},
+    export::{Description, PUBLISHED_HOP, write_model_directory},
     weights::{
         Block, Convolution, DecoderLevel, DecoderWeights, EncoderLevel, EncoderWeights, GptWeights,
         HALF_JOINTS, HalfWeights, LayerNorm, Linear, ResidualBlock, VqVaeWeights,
@@ -48,6 +48,7 @@ fn main() -> anyhow::Result<()> {
         temperature: 1.0,
         guidance: 1.0,
         candidates: 1,
+        hop: PUBLISHED_HOP,
         motion_frame: MotionFrame::World,
         root_height: 0.93,
         weights,

@@ -12,7 +12,7 @@ use crate::{
     compare::CompareOptions,
     data::{OpenOptions, Split, check::CheckOptions},
     encode::EncodeOptions,
-    export::Description,
+    export::{Description, PUBLISHED_HOP},
     held_out::Recordings,
     import::ImportOptions,
     music_gap::MusicGapOptions,
@@ -462,6 +462,7 @@ impl From<ImportArguments> for ImportOptions {
                 temperature: arguments.temperature,
                 guidance: 1.0,
                 candidates: 1,
+                hop: PUBLISHED_HOP,
                 motion_frame: MotionFrame::World,
                 root_height: arguments.root_height,
                 weights: match arguments.weights {

@@ -24,6 +24,8 @@ pub struct CropPlan {
 pub struct Choice {
     /// Frames; for training with music, those that have music ([`common_frames`]).
     pub frames: usize,
+    /// Frames at its start that are in no crop.
+    pub skipped: usize,
     /// Songs; none for motion alone.
     pub songs: usize,
     /// Start phases to draw from: 1 keeps the dance as it is, [`PHASES`] moves code boundaries to
@@ -72,8 +74,12 @@ impl CropPlan {
     /// Crops of one round over all dances.
     #[must_use]
     pub fn crops(&self, dances: &[Choice]) -> usize {
-        let starts = |dance: &Choice| crop_starts(dance.frames, self.frames, self.stride).count();
-        dances.iter().map(starts).sum()
+        dances.iter().map(|dance| self.starts(dance).count()).sum()
+    }
+
+    fn starts(&self, dance: &Choice) -> impl Iterator<Item = usize> {
+        let skipped = dance.skipped;
+        crop_starts(dance.frames, self.frames, self.stride).filter(move |&start| start >= skipped)
     }
 
     /// The crops of a round in random order, the same for the same seed and round: each dance gives
@@ -85,7 +91,7 @@ impl CropPlan {
         generator.set_stream(round);
         let mut draws = Vec::with_capacity(self.crops(dances));
         for (dance, choice) in dances.iter().enumerate() {
-            for start in crop_starts(choice.frames, self.frames, self.stride) {
+            for start in self.starts(choice) {
                 let room = choice.frames - self.frames;
                 let phases = choice.phases.min(room + 1).clamp(1, PHASES);
                 let phase = generator.random_range(0..phases);
@@ -143,6 +149,7 @@ mod tests {
         };
         let dance = |songs, phases| Choice {
             frames: 600,
+            skipped: 0,
             songs,
             phases,
         };
@@ -151,6 +158,19 @@ mod tests {
             frames: 240,
             ..dance(1, PHASES)
         };
+        let skipping = |skipped| Choice {
+            skipped,
+            ..dance(1, 1)
+        };
+        let starts = |skipped| {
+            let draws = plan.round(&[skipping(skipped)], 7, 0);
+            assert_eq!(draws.len(), plan.crops(&[skipping(skipped)]));
+            draws.into_iter().map(|draw| draw.start).min()
+        };
+        assert_eq!(
+            [0, 16, 17, 361].map(starts),
+            [Some(0), Some(16), Some(24), None]
+        );
         let dances = [dance(2, PHASES), dance(1, PHASES), dance(0, 1), short];
         let draws = plan.round(&dances, 7, 0);
         assert_eq!(draws.len(), plan.crops(&dances));

@@ -19,6 +19,7 @@ mod library;
 mod motion;
 mod npy;
 mod portion;
+mod quantise;
 mod smpl;
 mod songs;
 #[cfg(test)]
@@ -34,6 +35,7 @@ pub use error::DataError;
 pub use library::MusicLibrary;
 pub use motion::Motion;
 pub use portion::{Dance, Evaluation, Portion, Song, SplitKind, Training};
+pub use quantise::quantised;
 
 /// Frames per second of all motion.
 pub const FPS: usize = 60;

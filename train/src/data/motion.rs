@@ -61,6 +61,19 @@ impl Motion {
         columns
     }
 
+    /// `[T, 72]` as a decoder gives it (ARCHITECTURE section 2): the root's velocity in columns 0..3, the other joints
+    /// relative to the root.
+    #[must_use]
+    pub fn decoded(&self) -> Array2<f32> {
+        let mut columns = self.root_relative();
+        for (place, &step) in self.root_velocity().indexed_iter() {
+            if let Some(cell) = columns.get_mut(place) {
+                *cell = step;
+            }
+        }
+        columns
+    }
+
     /// `[T, 3]` in metres per frame: `V_t = root[t+1] - root[t]`, the last one repeated.
     #[must_use]
     pub fn root_velocity(&self) -> Array2<f32> {
@@ -94,13 +107,18 @@ mod tests {
     #[test]
     fn columns_and_velocity_integrate_back_to_the_motion() {
         let motion = wave(50);
-        let mut decoded = motion.root_relative();
         let velocity = motion.root_velocity();
         assert_eq!(velocity.row(49), velocity.row(48));
-        for ((frame, axis), &step) in velocity.indexed_iter() {
-            assert_eq!(decoded[[frame, axis]], 0.0);
-            decoded[[frame, axis]] = step;
-        }
+        assert!(
+            motion
+                .root_relative()
+                .columns()
+                .into_iter()
+                .take(3)
+                .flatten()
+                .all(|&v| v == 0.0)
+        );
+        let decoded = motion.decoded();
         let start = [0, 1, 2].map(|axis| motion.positions()[[0, 0, axis]]);
         let integrated = integrate_root(decoded.view(), start).unwrap();
         let worst = (&integrated - motion.positions()).mapv(f32::abs);

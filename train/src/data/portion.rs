@@ -139,6 +139,13 @@ impl<S> Dance<S> {
         &self.songs
     }
 
+    /// Beats of its music in seconds from frame 0, which all of its songs share; none where the data have none.
+    #[must_use]
+    pub fn grid_beats_s(&self) -> &[f64] {
+        let grids = self.songs.iter().map(|song| song.grid_beats_s.as_slice());
+        grids.max_by_key(|grid| grid.len()).unwrap_or_default()
+    }
+
     /// Reads the motion.
     ///
     /// # Errors

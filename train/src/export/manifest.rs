@@ -19,8 +19,6 @@ use crate::{
 
 /// Frames per second of all motion that the models know.
 const FPS: u32 = 60;
-/// Codes kept when the window shrinks, as the golden vectors and the model cards use it.
-const HOP_CODES: usize = 15;
 
 /// The manifest without its files.
 pub(super) fn manifest(
@@ -66,7 +64,7 @@ pub(super) fn manifest(
             guidance: description.guidance,
             candidates: description.candidates,
             window: WindowKind::Hop,
-            hop: HOP_CODES.min(context),
+            hop: description.hop.min(context),
         },
         weights: description.weights,
         files: BTreeMap::new(),

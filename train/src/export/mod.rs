@@ -23,6 +23,9 @@ use crate::{
 };
 use staging::Staging;
 
+/// Codes that a window keeps when it moves, as the golden vectors and the model cards have it.
+pub const PUBLISHED_HOP: usize = 15;
+
 /// What a manifest says that the weights cannot.
 #[derive(Clone, Debug)]
 pub struct Description {
@@ -42,6 +45,8 @@ pub struct Description {
     pub guidance: f32,
     /// Default number of candidates for a phrase; 1 takes what comes.
     pub candidates: usize,
+    /// Codes that a window keeps when it moves ([`PUBLISHED_HOP`]); at most the context.
+    pub hop: usize,
     /// Frame of the motion that the weights were trained on.
     pub motion_frame: MotionFrame,
     /// Height in metres at which the root starts.

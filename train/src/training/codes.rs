@@ -99,11 +99,16 @@ impl Codes {
         &dance.vectors[usize::from(window.mirrored) * dance.phases + window.phase]
     }
 
-    /// The first codes of every dance and mirror image.
-    pub(super) fn starts(&self) -> impl Iterator<Item = [i32; 2]> {
-        let dances = self.dances.iter();
-        let whole = dances.flat_map(|dance| dance.codes.iter().step_by(dance.phases));
-        whole.filter_map(|[upper, lower]| Some([*upper.first()?, *lower.first()?]))
+    /// The codes that every dance and mirror image begin with, `firsts` being the first frame of each dance that
+    /// is learned.
+    pub(super) fn starts(&self, firsts: &[usize]) -> impl Iterator<Item = [i32; 2]> {
+        let dances = self.dances.iter().zip(firsts);
+        let whole = dances.flat_map(|(dance, first)| {
+            let code = first.div_ceil(FRAMES_PER_CODE);
+            let whole = dance.codes.iter().step_by(dance.phases);
+            whole.map(move |pair| pair.each_ref().map(|half| half.get(code).copied()))
+        });
+        whole.filter_map(|[upper, lower]| Some([upper?, lower?]))
     }
 }
 

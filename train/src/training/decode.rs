@@ -4,11 +4,8 @@ use bailando::motion::{Positions, integrate_root, to_world_frame};
 use burn_tensor::{Int, Tensor as Device, TensorData};
 use ndarray::Array2;
 
-use super::{
-    Config, FRAMES_PER_CODE, Stage, TrainError, keep::read_kept, runner::WEIGHT, velocity::root,
-    vqvae::Trained,
-};
-use crate::nn::{DecoderNet, Kernels, Parameters, Store, values};
+use super::{Config, FRAMES_PER_CODE, Stage, TrainError, velocity::Decoders, vqvae::Trained};
+use crate::nn::{Kernels, Parameters, values};
 
 /// Columns of positions.
 const COLUMNS: usize = 72;
@@ -16,23 +13,24 @@ const COLUMNS: usize = 72;
 /// The decoders of a finished VQ-VAE and its root branch.
 pub(super) struct DanceDecoder<B: Kernels> {
     trained: Trained<B>,
-    /// None where the lower half gives the root's columns.
-    root: Option<(DecoderNet, Parameters<B>)>,
+    /// Those of stage `velocity`; none where the lower half gives the root's columns.
+    later: Option<(Decoders, Parameters<B>)>,
     root_columns: &'static [usize],
     device: B::Device,
 }
 
 impl<B: Kernels> DanceDecoder<B> {
     pub(super) fn read(config: &Config, device: &B::Device) -> Result<Self, TrainError> {
-        let root = if config.has(Stage::Velocity) {
-            let (root, store) = trained_root(config)?;
-            Some((root, Parameters::from_store(&store, device)))
+        let later = if config.has(Stage::Velocity) {
+            let decoders = Decoders::trained(config)?;
+            let parameters = Parameters::from_store(&decoders.store, device);
+            Some((decoders, parameters))
         } else {
             None
         };
         Ok(Self {
             trained: Trained::read(config, device)?,
-            root,
+            later,
             root_columns: config.data.root_columns(),
             device: device.clone(),
         })
@@ -67,13 +65,18 @@ impl<B: Kernels> DanceDecoder<B> {
         let mut columns = Array2::zeros((frames, COLUMNS + turning));
         let halves = &self.trained.halves;
         for (half, (net, places)) in halves.nets.iter().zip(&halves.columns).enumerate() {
-            let half = embedded[half].clone();
-            let decoded = net.decoder.forward(&self.trained.parameters, half);
+            let learned_on = self.later.as_ref().and_then(|(decoders, parameters)| {
+                let halves = decoders.halves.as_ref()?;
+                Some((&halves[half], parameters))
+            });
+            let (decoder, parameters) =
+                learned_on.unwrap_or((&net.decoder, &self.trained.parameters));
+            let decoded = decoder.forward(parameters, embedded[half].clone());
             fill(&mut columns, &values(&decoded), places);
         }
-        if let Some((net, parameters)) = &self.root {
+        if let Some((decoders, parameters)) = &self.later {
             let [_, lower] = embedded;
-            let decoded = net.forward(parameters, lower);
+            let decoded = decoders.root.forward(parameters, lower);
             let places: Vec<_> = self.root_columns.iter().copied().map(Some).collect();
             fill(&mut columns, &values(&decoded), &places);
         }
@@ -92,15 +95,6 @@ impl<B: Kernels> DanceDecoder<B> {
         let codes = Device::<B, 1, Int>::from_data(TensorData::new(codes, shape), &self.device);
         self.trained.codebooks[half].lookup(codes).unsqueeze_dim(0)
     }
-}
-
-/// The root branch as its finished stage left it.
-pub(super) fn trained_root(config: &Config) -> Result<(DecoderNet, Store), TrainError> {
-    let (root, store) = root(config);
-    let (path, saved) = read_kept(config, Stage::Velocity)?;
-    let store = saved.fill(WEIGHT, &store);
-    let store = store.map_err(|message| TrainError::State { path, message })?;
-    Ok((root, store))
 }
 
 /// Puts decoded columns where they belong.

@@ -7,7 +7,7 @@ use burn_flex::{Flex, FlexDevice};
 use serde_json::Value;
 
 use super::{
-    Config, Stage, TrainError, decode::trained_root, keep::fingerprint, policy::Policy,
+    Config, Stage, TrainError, keep::fingerprint, policy::Policy, velocity::Decoders,
     vqvae::Trained,
 };
 use crate::{
@@ -57,6 +57,7 @@ pub(super) fn write<const N: usize>(
         temperature: config.export.temperature,
         guidance: config.export.guidance,
         candidates: config.export.candidates,
+        hop: config.export.hop,
         motion_frame: config.data.frame,
         root_height: config.export.root_height,
         weights: config.export.weights,
@@ -108,6 +109,7 @@ pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
         temperature: asked.temperature,
         guidance: asked.guidance,
         candidates: asked.candidates,
+        hop: asked.hop.min(manifest.gpt.context),
         ..manifest.sampling
     };
     let described = (&manifest.name, &manifest.licence, manifest.weights)
@@ -131,21 +133,22 @@ pub fn trained_weights(
 
 fn vqvae_weights(config: &Config) -> Result<VqVaeWeights, TrainError> {
     let trained = Trained::<Flex>::read(config, &FlexDevice)?;
-    let store = &trained.halves.store;
-    let [upper_net, lower_net] = &trained.halves.nets;
-    let [upper_codes, lower_codes] = &trained.codebooks;
-    let half = |net: &crate::nn::HalfNet, codes: &crate::nn::Codebook<Flex>| {
-        let [entries, ..] = codes.state();
+    let decoders = Decoders::trained(config)?;
+    let half = |half: usize| {
+        let (net, store) = (&trained.halves.nets[half], &trained.halves.store);
+        let [codebook, ..] = trained.codebooks[half].state();
         HalfWeights {
             encoder: net.encoder.weights(store),
-            codebook: entries,
-            decoder: net.decoder.weights(store),
+            codebook,
+            decoder: match &decoders.halves {
+                Some(halves) => halves[half].weights(&decoders.store),
+                None => net.decoder.weights(store),
+            },
         }
     };
-    let (root, root_store) = trained_root(config)?;
     Ok(VqVaeWeights {
-        upper: half(upper_net, upper_codes),
-        lower: half(lower_net, lower_codes),
-        root: root.weights(&root_store),
+        upper: half(0),
+        lower: half(1),
+        root: decoders.root.weights(&decoders.store),
     })
 }

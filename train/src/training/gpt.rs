@@ -17,7 +17,7 @@ use super::{
 use crate::{
     Tensor,
     checkpoint::Checkpoint,
-    data::{CropPlan, Draw, PHASES, rows_beside},
+    data::{Choice, CropPlan, Draw, PHASES, rows_beside},
     nn::{GptNet, GptSizes, Kernels, Parameters, Store, Trainable, random_gpt},
     weights::GptWeights,
 };
@@ -125,8 +125,21 @@ fn windows(config: &Config, set: &MotionSet) -> Windows {
         stride: stage.stride * FRAMES_PER_CODE,
         mirror: config.data.mirror,
     };
-    let choices = set.training.music_choices(config.gpt_phases());
+    let choices = music_choices(config, set);
     Windows::new(crops, choices, config.run.seed ^ 2)
+}
+
+/// What can be drawn of each dance.
+fn music_choices(config: &Config, set: &MotionSet) -> Vec<Choice> {
+    let mut choices = set.training.music_choices(config.gpt_phases());
+    if config.gpt.trim_still {
+        for (choice, piece) in choices.iter_mut().zip(set.training.pieces()) {
+            let dancing = piece.dancing();
+            choice.skipped = dancing.start;
+            choice.frames = choice.frames.min(dancing.end);
+        }
+    }
+    choices
 }
 
 /// Start phases that codes of the training split are needed for.
@@ -297,6 +310,12 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         let (upper, lower) = (entropy(logits.upper, 0), entropy(logits.lower, 1));
         [upper.clone() + lower.clone(), upper, lower]
     }
+
+    /// The first frame of each dance that is learned.
+    fn first_frames(&self) -> Vec<usize> {
+        let choices = music_choices(self.config, self.set).into_iter();
+        choices.map(|choice| choice.skipped).collect()
+    }
 }
 
 impl<A: Trainable> Work<A> for GptWork<'_, A> {
@@ -342,7 +361,7 @@ impl<A: Trainable> Work<A> for GptWork<'_, A> {
         saved
             .tensors
             .insert("music.spread".into(), column(&scale.spread));
-        let starts: BTreeSet<[i32; 2]> = self.codes.starts().collect();
+        let starts: BTreeSet<[i32; 2]> = self.codes.starts(&self.first_frames()).collect();
         let values: Vec<f32> = starts.iter().flatten().map(|&code| code as f32).collect();
         let starts = Tensor::from_fn(vec![starts.len(), 2], |place| values[place]);
         saved.tensors.insert("start_codes".into(), starts);

@@ -1,8 +1,10 @@
 //! What the stages take in: dances in memory, the two splits kept apart by type.
 
-use std::{io::Write, marker::PhantomData, sync::Arc};
+use std::{io::Write, marker::PhantomData, ops::Range, sync::Arc};
 
-use bailando::motion::{MotionError, MotionFrame, Positions, to_dancer_frame};
+use bailando::motion::{
+    MotionError, MotionFrame, Positions, joint_speed, slow_share, to_dancer_frame,
+};
 use ndarray::Array2;
 
 use super::{
@@ -12,8 +14,8 @@ use super::{
     songs::{MusicRows, song_rows},
 };
 use crate::data::{
-    Choice, DataError, Dataset, Draw, Evaluation, Motion, OpenOptions, Portion, Song, SplitKind,
-    Training, common_frames, mirrored_column,
+    Choice, DataError, Dataset, Draw, Evaluation, FPS, Motion, OpenOptions, Portion, Song,
+    SplitKind, Training, common_frames, mirrored_column, quantised,
 };
 
 /// A dance and the songs that go with it.
@@ -24,7 +26,12 @@ pub struct MotionPiece {
     /// dancer's frame `[frames, 73]`, turned, with the turn in the last column.
     motion: Array2<f32>,
     songs: Vec<SongRows>,
+    /// Frames without those that it begins and ends with while it stands.
+    dancing: Range<usize>,
 }
+
+/// So many frames at either end of a recording may be those of somebody who gets ready, or has done.
+const EDGE: usize = 5 * FPS;
 
 /// Conditioning rows of a song, row `k` at frame `8 k`, for each start phase from 0 on.
 #[derive(Clone, Debug)]
@@ -50,20 +57,15 @@ impl MotionPiece {
     /// # Errors
     /// [`MotionError::Shape`] for other joints.
     pub fn from_positions(positions: Positions, frame: MotionFrame) -> Result<Self, MotionError> {
+        let dancing = dancing(&Motion::new(positions.clone()));
         let columns = match frame {
             MotionFrame::Dancer => to_dancer_frame(&positions)?,
-            MotionFrame::World => {
-                let motion = Motion::new(positions);
-                let mut columns = motion.root_relative();
-                for (place, &step) in motion.root_velocity().indexed_iter() {
-                    columns[place] = step;
-                }
-                columns
-            }
+            MotionFrame::World => Motion::new(positions).decoded(),
         };
         Ok(Self {
             motion: columns,
             songs: Vec::new(),
+            dancing,
         })
     }
 
@@ -72,6 +74,11 @@ impl MotionPiece {
     pub fn with_song(mut self, song: SongRows) -> Self {
         self.songs.push(song);
         self
+    }
+
+    /// The frames between the last slow one of its first five seconds and the first slow one of its last five.
+    pub(super) fn dancing(&self) -> Range<usize> {
+        self.dancing.clone()
     }
 
     /// Number of frames.
@@ -108,6 +115,21 @@ impl MotionPiece {
     }
 }
 
+fn dancing(motion: &Motion) -> Range<usize> {
+    let speed = joint_speed(motion.decoded().view());
+    let slow = |&step: &f64| slow_share(&[step], FPS as f64) > 0.0;
+    let begins = speed
+        .iter()
+        .take(EDGE)
+        .rposition(slow)
+        .map_or(0, |last| last + 1);
+    let ends = speed.iter().rev().take(EDGE).rposition(slow);
+    let ends = ends.map_or(motion.frames(), |from_the_end| {
+        speed.len() - 1 - from_the_end
+    });
+    begins..ends.max(begins)
+}
+
 /// The dances of one split: what takes `Dances<Training>` cannot be given a test dance.
 #[derive(Clone, Debug)]
 pub struct Dances<S> {
@@ -134,6 +156,7 @@ impl<S: SplitKind> Dances<S> {
     fn read(
         portion: &Portion<S>,
         frame: MotionFrame,
+        quantise_frames: usize,
         rows: Option<&MusicRows>,
     ) -> Result<Self, TrainError> {
         let mut pieces = Vec::with_capacity(portion.dances().len());
@@ -156,6 +179,10 @@ impl<S: SplitKind> Dances<S> {
             if motion.positions().iter().any(|value| !value.is_finite()) {
                 return Err(failed("holds values that are no numbers".into()));
             }
+            let motion = match quantise_frames {
+                0 => motion,
+                most => quantised(&motion, dance.grid_beats_s(), most),
+            };
             let piece = MotionPiece::from_positions(motion.into_positions(), frame);
             let piece = piece.map_err(|error| failed(error.to_string()))?;
             pieces.push(MotionPiece { songs, ..piece });
@@ -177,6 +204,7 @@ impl Dances<Training> {
     pub(super) fn motion_choices(&self, phases: usize) -> Vec<Choice> {
         let choice = |piece: &MotionPiece| Choice {
             frames: piece.frames(),
+            skipped: 0,
             songs: 0,
             phases,
         };
@@ -187,6 +215,7 @@ impl Dances<Training> {
     pub(super) fn music_choices(&self, phases: usize) -> Vec<Choice> {
         let choice = |piece: &MotionPiece| Choice {
             frames: piece.frames_with_music(),
+            skipped: 0,
             songs: piece.songs.len(),
             phases: piece.phases(phases),
         };
@@ -286,10 +315,14 @@ impl MotionSet {
                 Some(song_rows(data, wanted, output)?)
             }
         };
+        let quantise_frames = match load {
+            Load::Music => config.gpt.quantise_frames,
+            Load::Motion | Load::Songs => 0,
+        };
         let set = Self {
-            training: Dances::read(&training, data.frame, rows.as_ref())?,
+            training: Dances::read(&training, data.frame, quantise_frames, rows.as_ref())?,
             test: match test {
-                Some(test) => Some(Dances::read(&test, data.frame, rows.as_ref())?),
+                Some(test) => Some(Dances::read(&test, data.frame, 0, rows.as_ref())?),
                 None => None,
             },
             songs: match load {

@@ -10,20 +10,21 @@ use ndarray::{Array2, Axis, Slice};
 
 use super::{
     codes::{Augmentation, Codes},
+    decode::DanceDecoder,
     generate::{TestPiece, codes as generated_codes, dances},
     gpt::GptWork,
     metrics::read_series,
     policy::Policy,
     runner::Work,
     saved::Saved,
-    velocity::VelocityWork,
+    velocity::{Decoders, VelocityWork},
     vqvae::{Trained, VqVaeWork, half_crops},
     *,
 };
 use crate::{
     data::{Draw, Evaluation, Motion, SplitKind, mirrored, testing},
     export::skeleton,
-    nn::{Parameters, Precision, values},
+    nn::{Parameters, Precision, Store, values},
 };
 
 type Tracked = Autodiff<Flex>;
@@ -143,7 +144,7 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
             }
         }
     }
-    assert_eq!(found.starts().count(), 4);
+    assert_eq!(found.starts(&[0, 0]).count(), 4);
 
     let (plan, work) = GptWork::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
     assert_eq!(plan.windows, (37 - 29) + (31 - 29));
@@ -191,9 +192,11 @@ fn test_losses_are_the_losses_without_learning() {
     compare(&mut work, &parameters, &[0, 2, 9]);
 
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
+    config.velocity.pose_decoders = true;
+    config.velocity.speed_weight = 2.0;
     let (plan, mut work) = VelocityWork::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
     let parameters = Parameters::from_store(&plan.store, &FlexDevice);
-    compare(&mut work, &parameters, &[0]);
+    compare(&mut work, &parameters, &[0, 3]);
     let output = plan
         .store
         .entries()
@@ -204,6 +207,76 @@ fn test_losses_are_the_losses_without_learning() {
     let (plan, mut work) = GptWork::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
     let parameters = Parameters::from_store(&plan.store, &FlexDevice);
     compare(&mut work, &parameters, &[0, 1, 2]);
+}
+
+#[test]
+fn standing_at_either_end_is_not_learned() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path());
+    let mut positions = dance(600, 1);
+    for (still, frames) in [(40, 0..40), (559, 560..600)] {
+        let pose = positions.index_axis(Axis(0), still).to_owned();
+        for frame in frames {
+            positions.index_axis_mut(Axis(0), frame).assign(&pose);
+        }
+    }
+    let dancing = piece(positions.clone(), 1, 1);
+    assert_eq!(dancing.dancing(), 40..559);
+    let set = MotionSet {
+        training: Dances::new(vec![dancing]),
+        test: None,
+        songs: Vec::new(),
+    };
+    let log = &mut Vec::new();
+    train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
+    let mut windows = |trim_still: bool| {
+        config.gpt.trim_still = trim_still;
+        let (plan, work) = GptWork::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
+        let mut saved = Saved::default();
+        work.save(&mut saved);
+        let starts = saved.tensor("start_codes").unwrap().shape().to_vec();
+        assert_eq!(starts[1], 2);
+        plan.windows
+    };
+    // Of 75 codes with their rows, or of those from the fifth on that end before frame 559.
+    assert_eq!([false, true].map(&mut windows), [75 - 29, 69 - 5 - 29]);
+}
+
+#[test]
+fn decoders_of_both_halves_learn_on_where_asked_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path());
+    config.velocity.pose_decoders = true;
+    config.velocity.speed_weight = 2.0;
+    let set = MotionSet {
+        training: whole(FRAMES),
+        test: Some(whole::<Evaluation>(FRAMES)),
+        songs: Vec::new(),
+    };
+    let log = &mut Vec::new();
+    train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
+    let (plan, work) = VelocityWork::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
+    let poses = |store: &Store| {
+        let losses = work.test(&Parameters::from_store(store, &FlexDevice));
+        losses.unwrap()[1]
+    };
+    let before = poses(&plan.store);
+    train(Stage::Velocity, &config, &set, None, Limits::default(), log).unwrap();
+    let after = poses(&Decoders::trained(&config).unwrap().store);
+    assert!(after < 0.8 * before, "{before} {after}");
+
+    // What is danced comes from them.
+    let codes = [vec![1, 5, 3, 3], vec![2, 0, 7, 4]];
+    let dance = |config: &Config| {
+        let decoder = DanceDecoder::<Flex>::read(config, &FlexDevice).unwrap();
+        decoder.positions(&codes).unwrap()
+    };
+    let learned_on = dance(&config);
+    config.velocity.pose_decoders = false;
+    let as_they_were = dance(&config);
+    let root = |dance: &Positions| dance.index_axis(Axis(1), 0).to_owned();
+    assert_eq!(root(&learned_on), root(&as_they_were));
+    assert_ne!(learned_on, as_they_were);
 }
 
 /// `columns` of training are those of the test.

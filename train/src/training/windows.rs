@@ -65,6 +65,7 @@ mod tests {
     fn a_round_holds_every_window_once() {
         let dances = [10, 3, 6].map(|frames| Choice {
             frames,
+            skipped: 0,
             songs: 1,
             phases: 1,
         });

@@ -13,7 +13,7 @@ use bailando::{
     motion::MotionFrame,
 };
 use bailando_train::{
-    export::Description,
+    export::{Description, PUBLISHED_HOP},
     import::{ImportOptions, import},
 };
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, Slice};
@@ -66,6 +66,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             temperature: 0.0,
             guidance: 1.0,
             candidates: 1,
+            hop: PUBLISHED_HOP,
             motion_frame: MotionFrame::World,
             root_height: 0.93,
             weights: WeightStorage::F32,

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use bailando::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, WeightStorage};
 use serde::{Deserialize, Serialize};
 
+use super::at_least_one;
+
 /// Stage `export`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -16,6 +18,7 @@ pub struct ExportConfig {
     pub temperature: f32,
     pub guidance: f32,
     pub candidates: usize,
+    pub hop: usize,
     pub weights: WeightStorage,
 }
 
@@ -41,6 +44,6 @@ impl ExportConfig {
                 "candidates ({candidates}) must lie in 1..={MAX_CANDIDATES}"
             ));
         }
-        Ok(())
+        at_least_one([("hop", self.hop)])
     }
 }

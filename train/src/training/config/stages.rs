@@ -62,6 +62,8 @@ pub struct VelocityConfig {
     pub frames: usize,
     pub stride: usize,
     pub difference_weight: f64,
+    pub pose_decoders: bool,
+    pub speed_weight: f64,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
     pub keep: Keep,
@@ -69,7 +71,10 @@ pub struct VelocityConfig {
 
 impl VelocityConfig {
     pub(super) fn check(&self) -> Result<(), String> {
-        not_negative([("difference_weight", self.difference_weight)])?;
+        not_negative([
+            ("difference_weight", self.difference_weight),
+            ("speed_weight", self.speed_weight),
+        ])?;
         check_crops(self.frames, self.stride)
     }
 }
@@ -98,6 +103,8 @@ pub struct GptConfig {
     pub code_noise: f64,
     pub slip_share: f64,
     pub slip_frames: usize,
+    pub quantise_frames: usize,
+    pub trim_still: bool,
     pub hear: Hear,
     pub standardise_music: bool,
     pub training: TrainingConfig,
