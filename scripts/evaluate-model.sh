@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The figures of a model card: the test split of a data folder danced to by a model, three times, and
 # measured against the recordings; the recordings through its VQ-VAE alone, measured the same way;
-# whether it hears; and five dances each to songs of other genres (and DATA/demo/demo.flac, if there is one).
+# whether it hears; and ten dances each to songs of other genres (and DATA/demo/demo.flac, if there is one).
 # Usage: scripts/evaluate-model.sh [MODEL [DATA [OUT]]]
 #   MODEL  model directory           (default models/default)
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
@@ -73,7 +73,7 @@ scripts/compose-songs.py "$out/songs"
 if [ -f "$data/demo/demo.flac" ]; then
     ln -s "$(realpath "$data/demo/demo.flac")" "$out/songs/demo.flac"
 fi
-for seed in 1 2 3 4 5; do
+for seed in {1..10}; do
     mkdir -p "$out/new/seed$seed"
     for song in "$out"/songs/*; do
         name=$(basename "${song%.*}")
@@ -81,4 +81,4 @@ for seed in 1 2 3 4 5; do
     done
 done
 printf '\n## Songs it never met\n\n'
-measure --generated "$out/new" --seeds 5 --new-songs "$out/songs"
+measure --generated "$out/new" --seeds 10 --new-songs "$out/songs"

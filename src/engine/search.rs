@@ -18,7 +18,7 @@ use crate::{
 const PHRASE: usize = 15;
 /// A phrase ends where the window moves, if it does so after about as many: what candidates share is
 /// computed anew there anyway, once for all of them.
-const PHRASES: RangeInclusive<usize> = 12..=20;
+const PHRASES: RangeInclusive<usize> = 12..=22;
 /// Codes at a phrase's end that are judged with the next one: their speed is smoothed, and decoded, with
 /// what follows.
 const UNSETTLED: usize = 2;
