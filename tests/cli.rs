@@ -352,6 +352,8 @@ fn features_and_rows_give_the_codes_of_the_song() {
         &upper,
         "--start-lower",
         &lower,
+        "--hop",
+        "15",
         "--seed",
         "3",
         // Rows tell no beats to choose candidates by.

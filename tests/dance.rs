@@ -440,7 +440,7 @@ fn a_pair_of_codes_is_a_pose_that_stands() {
 
 /// Mean nearness of the demo song's beats to the dance's (Eq. 15), over a few seeds.
 fn beat_score(candidates: usize) -> f64 {
-    const SEEDS: std::ops::Range<u64> = 0..3;
+    const SEEDS: std::ops::Range<u64> = 0..8;
     let scores = SEEDS.map(|seed| {
         let options = GenerationOptions {
             seed: Some(seed),

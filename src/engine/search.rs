@@ -208,9 +208,11 @@ mod tests {
         };
         let hop = Window::new(WindowKind::Hop, 15, 28);
         assert_eq!(ends(hop, 80), [1, 16, 30, 44, 58, 72, 80]);
+        let shorter = Window::new(WindowKind::Hop, 8, 28);
+        assert_eq!(ends(shorter, 80), [1, 16, 30, 51, 72, 80]);
         // A window that moves at every step, or hardly ever.
         let sliding = Window::new(WindowKind::Sliding, 15, 28);
-        assert_eq!(ends(sliding, 60), [1, 16, 36, 56, 60]);
+        assert_eq!(ends(sliding, 60), [1, 16, 38, 60]);
         let narrow = Window::new(WindowKind::Hop, 1, 28);
         assert_eq!(ends(narrow, 70), [1, 16, 30, 45, 58, 70]);
     }
