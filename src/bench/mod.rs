@@ -3,6 +3,7 @@
 
 mod baseline;
 mod clock;
+mod decoder;
 mod floor;
 mod length;
 mod load;
@@ -69,7 +70,10 @@ pub fn run(options: &BenchOptions, say: &dyn Fn(&str)) -> Result<Bench> {
     let choreographer = choreographer?;
     let idle = machine::resident_bytes();
     say("stages");
-    let stages = stages::measure(&choreographer, options, threads)?;
+    let mut stages = stages::measure(&choreographer, options, threads)?;
+    for &threads in &options.threads {
+        stages.push(decoder::measure(&directory, options.repeats, threads)?);
+    }
     let mut steps = Vec::new();
     for &threads in &options.threads {
         say(&format!("steps with {threads} threads"));
