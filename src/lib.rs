@@ -22,6 +22,7 @@ pub mod fuzzing;
 pub mod model;
 pub mod motion;
 pub mod npy;
+mod resident;
 pub mod server;
 
 pub use cancel::CancelToken;

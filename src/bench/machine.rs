@@ -3,7 +3,7 @@
 use std::{fs, num::NonZeroUsize, thread};
 
 use super::report::Machine;
-use crate::server::process::memory_bytes;
+use crate::resident::memory_bytes;
 
 pub(super) fn describe() -> Machine {
     let cpu = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();

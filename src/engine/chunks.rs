@@ -56,10 +56,12 @@ impl Chunks {
 
     /// With small chunks first, so that the first frames come soon.
     pub(crate) fn soon(self) -> Self {
-        Self {
-            size: FIRST_CHUNK,
-            ..self
-        }
+        self.starting_with(FIRST_CHUNK)
+    }
+
+    /// With a first chunk of `size` codes.
+    pub(crate) fn starting_with(self, size: usize) -> Self {
+        Self { size, ..self }
     }
 
     /// Whether everything is decoded.

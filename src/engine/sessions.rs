@@ -79,7 +79,9 @@ impl Sessions {
     /// A piece over a chunk's border, in chunks and at once: `receptive_codes` must be enough.
     fn try_chunks(&mut self) -> Result<()> {
         let manifest = self.directory.manifest();
-        let count = CHUNK_CODES + manifest.decoder.receptive_codes.min(CHUNK_CODES) + 1;
+        // Both chunks are cut where the other's codes still matter.
+        let size = manifest.decoder.receptive_codes.min(CHUNK_CODES) + 1;
+        let count = 2 * size;
         let codes = |vocabulary: usize| -> Vec<u32> {
             let code = |step| (vocabulary - 1).saturating_sub(step * 7 % vocabulary);
             (0..count).map(|step| code(step) as u32).collect()
@@ -92,7 +94,7 @@ impl Sessions {
         let whole = self.decoder.decode(&codes.upper, &codes.lower, &cancel)?;
         // As it is decoded: in the world's directions, differences would be summed.
         let as_decoded = ToWorld::new(MotionFrame::World, 0.0);
-        let mut chunks = Chunks::new(count, Codes::default(), as_decoded);
+        let mut chunks = Chunks::new(count, Codes::default(), as_decoded).starting_with(size);
         let halves = [&codes.upper[..], &codes.lower[..]];
         let mut chunked = Vec::with_capacity(whole.len());
         while let Some(chunk) = chunks.advance(&mut self.decoder, halves, manifest, &cancel)? {

@@ -22,7 +22,7 @@ mod negotiate;
 mod openapi;
 pub(crate) mod options;
 mod outgoing;
-pub(crate) mod process;
+mod process;
 mod room;
 mod router;
 mod routes;

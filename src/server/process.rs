@@ -8,6 +8,8 @@ use prometheus_client::{
     metrics::{counter::ConstCounter, gauge::ConstGauge},
 };
 
+use crate::resident::memory_bytes;
+
 /// Clock ticks a second in `/proc` (Linux fixes it for programs).
 const TICKS: f64 = 100.0;
 
@@ -61,15 +63,6 @@ impl Collector for ProcessCollector {
         }
         Ok(())
     }
-}
-
-/// What `/proc/self/status` says of the process' memory under `name`, in a unit that does not depend on the
-/// size of a page.
-pub(crate) fn memory_bytes(name: &str) -> Option<u64> {
-    let status = fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find(|line| line.starts_with(name))?;
-    let kibibytes: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
-    Some(1024 * kibibytes)
 }
 
 fn read() -> Option<Figures> {

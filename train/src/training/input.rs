@@ -57,10 +57,12 @@ impl MotionPiece {
     /// # Errors
     /// [`MotionError::Shape`] for other joints.
     pub fn from_positions(positions: Positions, frame: MotionFrame) -> Result<Self, MotionError> {
-        let dancing = dancing(&Motion::new(positions.clone()));
+        let motion = Motion::new(positions);
+        let decoded = motion.decoded();
+        let dancing = dancing(&decoded);
         let columns = match frame {
-            MotionFrame::Dancer => to_dancer_frame(&positions)?,
-            MotionFrame::World => Motion::new(positions).decoded(),
+            MotionFrame::Dancer => to_dancer_frame(motion.positions())?,
+            MotionFrame::World => decoded,
         };
         Ok(Self {
             motion: columns,
@@ -115,8 +117,9 @@ impl MotionPiece {
     }
 }
 
-fn dancing(motion: &Motion) -> Range<usize> {
-    let speed = joint_speed(motion.decoded().view());
+/// See [`MotionPiece::dancing`]; of motion as a decoder gives it.
+fn dancing(decoded: &Array2<f32>) -> Range<usize> {
+    let speed = joint_speed(decoded.view());
     let slow = |&step: &f64| slow_share(&[step], FPS as f64) > 0.0;
     let begins = speed
         .iter()
@@ -124,7 +127,7 @@ fn dancing(motion: &Motion) -> Range<usize> {
         .rposition(slow)
         .map_or(0, |last| last + 1);
     let ends = speed.iter().rev().take(EDGE).rposition(slow);
-    let ends = ends.map_or(motion.frames(), |from_the_end| {
+    let ends = ends.map_or(decoded.nrows(), |from_the_end| {
         speed.len() - 1 - from_the_end
     });
     begins..ends.max(begins)

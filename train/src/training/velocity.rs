@@ -32,7 +32,7 @@ impl Decoders {
     /// Before the first step: the root's of random weights, those of the halves as they are.
     pub(super) fn new(config: &Config, halves: &Halves) -> Self {
         let mut store = Store::default();
-        let root = DecoderNet::new("root", &Halves::random(config).weights.root, &mut store);
+        let root = DecoderNet::new("root", &halves.weights.root, &mut store);
         let mut half = |half: usize| {
             let weights = halves.nets[half].decoder.weights(&halves.store);
             DecoderNet::new(&format!("{}.decoder", HALVES[half]), &weights, &mut store)
