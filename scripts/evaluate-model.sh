@@ -6,7 +6,8 @@
 #   MODEL  model directory           (default models/default)
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
 #   OUT    where dances and the plot go                       (default target/evaluation)
-# BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and bailando-train).
+# BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and bailando-train),
+# SEEDS says how many dances there are to every song of the test split (default 3).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -15,6 +16,7 @@ data=${2:-../shared/data/salsa}
 out=${3:-target/evaluation}
 bailando=${BAILANDO:-target/release/bailando}
 trainer=${BAILANDO_TRAIN:-target/release/bailando-train}
+seeds=${SEEDS:-3}
 
 mkdir -p "$out"
 pieces() {
@@ -31,7 +33,7 @@ dance() {
 }
 
 rm -rf "$out/dances"
-for seed in 1 2 3; do
+for ((seed = 1; seed <= seeds; seed++)); do
     mkdir -p "$out/dances/seed$seed"
     number=0
     while read -r id audio; do
@@ -47,7 +49,7 @@ measure_test() {
 }
 
 printf '## Dances\n\n'
-measure_test --generated "$out/dances" --seeds 3 --plot "$out/evaluation.svg"
+measure_test --generated "$out/dances" --seeds "$seeds" --plot "$out/evaluation.svg"
 
 rm -rf "$out/encoded" "$out/reconstructed"
 "$trainer" encode "$data" --model-dir "$model" --out "$out/encoded" --reconstruct > "$out/encode.log"

@@ -73,10 +73,15 @@ struct SamplingArgs {
     #[arg(long)]
     guidance: Option<f32>,
     /// Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to
-    /// the music's, less its share of frames that stand still (up to 12 while the best one freezes
-    /// or goes to the ground); the cost grows with them. One with --features, which tell no beats
+    /// the music's, less its share of frames that stand still; the cost grows with them. One with
+    /// --features, which tell no beats
     #[arg(long)]
     candidates: Option<usize>,
+    /// Whether two seconds of dance in which the dancer stands still (of several candidates also: goes
+    /// to the ground) are danced anew, with up to 12 candidates in all [default: the model's, and true
+    /// with several candidates]
+    #[arg(long, value_name = "BOOL")]
+    redo: Option<bool>,
     /// First pose code of the upper body
     #[arg(long)]
     start_upper: Option<u32>,
@@ -179,6 +184,7 @@ impl GenerateArgs {
             top_k,
             guidance,
             candidates,
+            redo,
             start_upper,
             start_lower,
             window,
@@ -190,6 +196,7 @@ impl GenerateArgs {
             top_k,
             guidance,
             candidates,
+            redo,
             start_upper,
             start_lower,
             continue_from: self.continue_from.clone(),

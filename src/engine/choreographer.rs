@@ -358,6 +358,7 @@ impl Choreographer {
             },
             guidance: options.guidance.unwrap_or(defaults.guidance),
             candidates: options.candidates(manifest, self.shared.batch),
+            redo: options.redo(manifest, self.shared.batch),
             beats: music.beats,
             seed,
             start: [options.start_upper, options.start_lower],

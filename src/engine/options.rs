@@ -21,8 +21,11 @@ pub struct GenerationOptions {
     /// hides it; other than 1 costs twice as much.
     pub guidance: Option<f32>,
     /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's, less
-    /// its share of frames that stand still (up to 12 while the best one freezes or goes to the ground).
+    /// its share of frames that stand still.
     pub candidates: Option<usize>,
+    /// Whether a phrase in which the dancer stands still (of several candidates also: goes to the ground) is danced
+    /// anew, with up to 12 candidates in all; as the model says if absent, and where there are several candidates.
+    pub redo: Option<bool>,
     /// First upper pose code; drawn from the manifest's list if absent.
     pub start_upper: Option<u32>,
     /// First lower pose code; drawn from the manifest's list if absent.
@@ -51,6 +54,7 @@ impl Default for GenerationOptions {
             top_k: None,
             guidance: None,
             candidates: None,
+            redo: None,
             start_upper: None,
             start_lower: None,
             continue_from: None,
@@ -136,13 +140,25 @@ impl GenerationOptions {
     /// for them; one where they would not differ.
     pub(super) fn candidates(&self, manifest: &Manifest, batch: usize) -> usize {
         let defaults = manifest.sampling;
-        let temperature = self.temperature.unwrap_or(defaults.temperature);
-        if temperature == 0.0 || self.top_k.or(defaults.top_k) == Some(1) {
+        if !self.has_chance(manifest) {
             return 1;
         }
         let room = batch / branches(self.guidance.unwrap_or(defaults.guidance));
         let own = defaults.candidates.min(room.max(1));
         self.candidates.unwrap_or(own)
+    }
+
+    /// Whether phrases are danced anew where they stand still.
+    pub(super) fn redo(&self, manifest: &Manifest, batch: usize) -> bool {
+        let own = manifest.sampling.redo || self.candidates(manifest, batch) > 1;
+        self.redo.unwrap_or(own) && self.has_chance(manifest)
+    }
+
+    /// Whether a dance may come out otherwise with other random numbers.
+    fn has_chance(&self, manifest: &Manifest) -> bool {
+        let defaults = manifest.sampling;
+        let temperature = self.temperature.unwrap_or(defaults.temperature);
+        temperature != 0.0 && self.top_k.or(defaults.top_k) != Some(1)
     }
 
     /// Codes of a tail must be the model's, and leave no choice of others.

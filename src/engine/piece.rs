@@ -8,7 +8,7 @@ use super::{
     chunks::Chunks,
     guidance::Guide,
     sampler::Sampler,
-    search::{Judge, Phrase, phrase_end},
+    search::{Judge, Phrase, may_freeze, phrase_end},
     window::WindowStep,
     worker::{Job, Outcome, branches},
 };
@@ -114,8 +114,7 @@ impl Piece {
 
     fn begin_phrase(&mut self) {
         let settled = self.settled.upper.len();
-        let choice = self.job.has_a_choice();
-        self.end = match choice {
+        self.end = match self.job.is_judged() {
             true => phrase_end(settled, self.total(), self.job.window),
             false => (settled + 1..self.total())
                 .find(|&length| self.job.window.moves_at(length - 1))
@@ -132,12 +131,12 @@ impl Piece {
             codes: self.settled.clone(),
             sampler,
         };
-        if !self.job.has_a_choice() {
+        if !self.job.is_judged() {
             self.dances = vec![dancing(self.sampler.clone())];
             return;
         }
         let tried = self.candidates.tried();
-        self.dances = (tried..tried + self.job.candidates)
+        self.dances = (tried..tried + self.job.tries())
             .map(|candidate| {
                 let number = self.phrases << 32 | candidate as u64;
                 dancing(self.sampler.stream(number + 1))
@@ -238,13 +237,15 @@ impl Piece {
     pub(crate) fn settle(&mut self, decoder: &mut Decoder, manifest: &Manifest) -> Result<()> {
         let total = self.total();
         if self.step() + 1 < self.end {
-            if !self.job.has_a_choice() {
+            if !self.job.is_judged() {
                 self.tell(self.step() + 1);
             }
             return Ok(());
         }
         let dances = std::mem::take(&mut self.dances);
-        if self.job.has_a_choice() {
+        let settled = self.settled.upper.len();
+        let doubtful = |dance: &Dancing| may_freeze(&dance.codes, settled);
+        if self.job.has_a_choice() || self.job.redo && dances.iter().any(doubtful) {
             let mut judge = Judge {
                 beats: &self.job.beats,
                 decoder,
@@ -252,12 +253,11 @@ impl Piece {
                 cancel: &self.job.cancel,
             };
             let codes: Vec<&Codes> = dances.iter().map(|dance| &dance.codes).collect();
-            let settled = self.settled.upper.len();
             let verdicts = judge.judge(&codes, settled, self.end == total)?;
             for (verdict, dance) in verdicts.into_iter().zip(dances) {
                 self.candidates.consider(verdict, dance.codes);
             }
-            if self.candidates.goes_on(self.job.candidates) {
+            if self.job.redo && self.candidates.goes_on(self.job.tries()) {
                 self.begin_candidates();
                 return Ok(());
             }
@@ -266,7 +266,9 @@ impl Piece {
             }
         } else if let Some(dance) = dances.into_iter().next() {
             self.settled = dance.codes;
-            self.sampler = dance.sampler;
+            if !self.job.is_judged() {
+                self.sampler = dance.sampler;
+            }
         }
         self.phrases += 1;
         self.tell(self.end);

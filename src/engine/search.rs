@@ -1,6 +1,7 @@
 //! Best of several candidates, phrase by phrase: of what the model would dance next, that whose beats
 //! lie nearest to the music's (the reward of Eq. 15 as a choice instead of a lesson), less its share of
-//! frames that stand still; but none that freezes or goes to the ground, if there is another.
+//! frames that stand still; but none that freezes or goes to the ground, if there is another. A single dance is
+//! danced anew where it freezes.
 
 use std::ops::RangeInclusive;
 
@@ -31,6 +32,9 @@ const FREEZING: f64 = 0.1;
 /// A pelvis that is no more metres above the lowest joint is what only a partner holds up: dancers of pairs
 /// do so in recordings.
 const GROUND: f32 = 0.68;
+/// A single dance is looked at where at least this share of its lower codes repeat the one before them: so do 95 in a
+/// hundred phrases of the default model that freeze, and a quarter of all.
+const KEPT: f64 = 0.2;
 /// While the best candidate freezes or goes to the ground, more are tried until there were so many: what
 /// one request may cost stays bounded.
 const PATIENCE: usize = 12;
@@ -40,6 +44,14 @@ pub(super) fn phrase_end(settled: usize, total: usize, window: Window) -> usize 
     let moves = |&length: &usize| window.moves_at(settled + length - 1);
     let length = PHRASES.rev().find(moves).unwrap_or(PHRASE);
     (settled + length).min(total)
+}
+
+/// Whether the codes from `settled` on may stand still, which looking at their frames can tell.
+pub(super) fn may_freeze(codes: &Codes, settled: usize) -> bool {
+    let from = settled.saturating_sub(1);
+    let phrase = codes.lower.get(from..).unwrap_or_default();
+    let kept = phrase.windows(2).filter(|pair| pair.first() == pair.last());
+    kept.count() as f64 >= KEPT * phrase.len().saturating_sub(1) as f64
 }
 
 /// What is thought of a candidate.
@@ -195,6 +207,18 @@ mod tests {
             9.0, -9.0, 9.0, 0.1, -0.5, 0.2, 0.0, -0.8, -1.0, 0.3, 0.6, -2.0
         ];
         assert_eq!(pelvis_height(frame.view()), 0.8);
+    }
+
+    #[test]
+    fn a_phrase_that_keeps_its_lower_codes_may_freeze() {
+        let codes = |lower: &[u32]| Codes {
+            upper: (0..lower.len() as u32).collect(),
+            lower: lower.to_vec(),
+        };
+        // One of the five codes from the second on is the one before it, then none.
+        assert!(may_freeze(&codes(&[1, 2, 2, 3, 4, 5]), 1));
+        assert!(!may_freeze(&codes(&[1, 2, 3, 4, 5, 6]), 1));
+        assert!(!may_freeze(&codes(&[1, 1, 2, 3, 4, 5, 6]), 2));
     }
 
     #[test]

@@ -129,6 +129,7 @@ impl Sessions {
             guidance: self.directory.manifest().sampling.guidance,
             // As many as there is room for.
             candidates: GenerationOptions::default().candidates(self.directory.manifest(), rows),
+            redo: false,
             beats: vec![4, 12, 20],
             seed: 0,
             start: [None, None],

@@ -35,6 +35,8 @@ pub(crate) struct Job {
     pub(crate) guidance: f32,
     /// Candidates for every phrase; 1 where they would not differ.
     pub(crate) candidates: usize,
+    /// Whether a phrase is danced anew where it stands still.
+    pub(crate) redo: bool,
     /// Frames of the music's beats, which candidates are chosen by; may be empty.
     pub(crate) beats: Vec<usize>,
     /// Seed of the request's generator.
@@ -62,6 +64,19 @@ impl Job {
         self.candidates > 1 && !self.beats.is_empty()
     }
 
+    /// Whether phrases are judged: to choose between candidates, or to dance them anew.
+    pub(crate) fn is_judged(&self) -> bool {
+        self.has_a_choice() || self.redo
+    }
+
+    /// Dances of a phrase that are tried at once.
+    pub(crate) fn tries(&self) -> usize {
+        match self.has_a_choice() {
+            true => self.candidates,
+            false => 1,
+        }
+    }
+
     /// Number of codes that lead in, if the dance goes on from another.
     pub(crate) fn lead_in(&self) -> Option<usize> {
         (!self.history.upper.is_empty()).then_some(LEAD_IN)
@@ -69,12 +84,7 @@ impl Job {
 
     /// Dances that are computed side by side for it.
     pub(crate) fn rows(&self) -> usize {
-        let candidates = if self.has_a_choice() {
-            self.candidates
-        } else {
-            1
-        };
-        candidates * branches(self.guidance)
+        self.tries() * branches(self.guidance)
     }
 }
 

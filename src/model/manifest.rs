@@ -139,6 +139,10 @@ pub struct SamplingDefaults {
     /// its share of frames that stand still; absent: 1.
     #[serde(default = "one_candidate", skip_serializing_if = "is_one_candidate")]
     pub candidates: usize,
+    /// Whether a phrase in which the dancer stands still is danced anew, where it may come out otherwise; absent: only
+    /// where there are several candidates.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub redo: bool,
     /// How the window moves.
     pub window: WindowKind,
     /// Codes kept when a hop window shrinks.

@@ -74,6 +74,7 @@ struct SamplingInfo {
     top_k: Option<usize>,
     guidance: f32,
     candidates: usize,
+    redo: bool,
     #[schema(example = "hop")]
     window: &'static str,
     hop: usize,
@@ -139,6 +140,7 @@ impl ModelInfo {
                 top_k: sampling.top_k,
                 guidance: sampling.guidance,
                 candidates: sampling.candidates,
+                redo: sampling.redo || sampling.candidates > 1,
                 window: match sampling.window {
                     WindowKind::Hop => "hop",
                     WindowKind::Sliding => "sliding",

@@ -275,6 +275,7 @@ fn manifest() -> Manifest {
             top_k: None,
             guidance: 1.0,
             candidates: 1,
+            redo: false,
             window: WindowKind::Hop,
             hop: 15,
         },

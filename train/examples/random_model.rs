@@ -48,6 +48,7 @@ fn main() -> anyhow::Result<()> {
         temperature: 1.0,
         guidance: 1.0,
         candidates: 1,
+        redo: false,
         hop: PUBLISHED_HOP,
         motion_frame: MotionFrame::World,
         root_height: 0.93,

@@ -31,6 +31,7 @@ pub(crate) struct RequestOptions {
     top_k: Option<usize>,
     guidance: Option<f32>,
     candidates: Option<usize>,
+    redo: Option<bool>,
     start_upper: Option<u32>,
     start_lower: Option<u32>,
     continue_from: Option<Tail>,
@@ -156,6 +157,7 @@ impl RequestOptions {
             top_k: self.top_k,
             guidance: self.guidance,
             candidates: self.candidates,
+            redo: self.redo,
             start_upper: self.start_upper,
             start_lower: self.start_lower,
             continue_from: self.continue_from.clone(),
@@ -194,7 +196,7 @@ mod tests {
     #[test]
     fn every_option_is_read() {
         let options = query(
-            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5&candidates=3\
+            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5&candidates=3&redo=false\
              &start_upper=1&start_lower=2&continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA&window=sliding&hop=15&offset_s=1.5&duration_s=2e1&root_motion=false\
              &music=true&include=rotations&encoding=base64&bvh_unit=m",
         )
@@ -212,6 +214,7 @@ mod tests {
                 top_k: Some(7),
                 guidance: Some(2.5),
                 candidates: Some(3),
+                redo: Some(false),
                 start_upper: Some(1),
                 start_lower: Some(2),
                 continue_from: Some(Tail::new(

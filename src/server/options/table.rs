@@ -18,7 +18,7 @@ pub(super) struct OptionSpec {
     pub(super) read: fn(&mut RequestOptions, &str) -> bool,
 }
 
-pub(super) const OPTIONS: [OptionSpec; 19] = [
+pub(super) const OPTIONS: [OptionSpec; 20] = [
     OptionSpec {
         name: "format",
         about: "Format of the dance. Wins over the Accept header. Default: json.",
@@ -67,12 +67,18 @@ pub(super) const OPTIONS: [OptionSpec; 19] = [
     },
     OptionSpec {
         name: "candidates",
-        about: "Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the music's, less its share of frames that stand still (up to 12 while the best one freezes or goes to the ground); the cost grows with them. Default: the model's.",
+        about: "Candidates for every two seconds of dance, of which that is taken whose beats lie nearest to the music's, less its share of frames that stand still; the cost grows with them. Default: the model's.",
         accepts: Accepts::Integer {
             least: 1,
             most: MAX_CANDIDATES as u64,
         },
         read: |options, text| put(&mut options.candidates, text),
+    },
+    OptionSpec {
+        name: "redo",
+        about: "Whether two seconds of dance in which the dancer stands still (of several candidates also: goes to the ground) are danced anew, with up to 12 candidates in all. Default: the model's, and true with several candidates.",
+        accepts: Accepts::Boolean,
+        read: |options, text| put(&mut options.redo, text),
     },
     OptionSpec {
         name: "start_upper",

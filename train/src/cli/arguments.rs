@@ -462,6 +462,7 @@ impl From<ImportArguments> for ImportOptions {
                 temperature: arguments.temperature,
                 guidance: 1.0,
                 candidates: 1,
+                redo: false,
                 hop: PUBLISHED_HOP,
                 motion_frame: MotionFrame::World,
                 root_height: arguments.root_height,

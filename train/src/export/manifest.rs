@@ -63,6 +63,7 @@ pub(super) fn manifest(
             top_k: None,
             guidance: description.guidance,
             candidates: description.candidates,
+            redo: description.redo,
             window: WindowKind::Hop,
             hop: description.hop.min(context),
         },

@@ -45,6 +45,8 @@ pub struct Description {
     pub guidance: f32,
     /// Default number of candidates for a phrase; 1 takes what comes.
     pub candidates: usize,
+    /// Whether phrases are danced anew where they stand still.
+    pub redo: bool,
     /// Codes that a window keeps when it moves ([`PUBLISHED_HOP`]); at most the context.
     pub hop: usize,
     /// Frame of the motion that the weights were trained on.

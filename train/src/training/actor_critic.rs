@@ -78,6 +78,7 @@ pub(super) struct ActorCriticWork<'a, A: Trainable> {
 enum Turn {
     Actor,
     Critic,
+    Both,
 }
 
 impl ActorCriticConfig {
@@ -86,6 +87,9 @@ impl ActorCriticConfig {
         let Some(step) = step.checked_sub(self.critic_warmup_steps) else {
             return (Turn::Critic, step);
         };
+        if self.critic_steps == 0 {
+            return (Turn::Both, step);
+        }
         let round = self.actor_steps + self.critic_steps;
         let (rounds, place) = (step / round, step % round);
         if place < self.actor_steps {
@@ -119,6 +123,7 @@ impl ActorCriticConfig {
             beat_weight: self.beat_weight,
             consistency_weight: self.consistency_weight,
             slow_weight: self.slow_weight,
+            speed_weight: self.speed_weight,
         }
     }
 }
@@ -260,15 +265,21 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
         let loss = match stage.turn(step) {
             (Turn::Actor, _) => actor,
             (Turn::Critic, _) => critic,
+            (Turn::Both, _) => actor + critic,
         };
         Losses { loss, metrics }
     }
 
-    fn learns(&self, name: &str) -> bool {
-        let policy = !name.starts_with("critic");
+    fn rate_factor(&self, name: &str) -> f64 {
+        if name.starts_with("critic") {
+            return self.stage.critic_rate_factor;
+        }
         // Scales, shifts and biases.
         let gain = name.contains("norm") || name.ends_with("bias");
-        !policy || gain || !self.stage.gains_only
+        match gain || !self.stage.gains_only {
+            true => 1.0,
+            false => 0.0,
+        }
     }
 
     fn earlier_updates(&self, step: u64) -> u64 {
@@ -330,15 +341,12 @@ fn scaled(songs: &[Song], policy: &Policy) -> Vec<Song> {
 /// The critic of an official checkpoint, which must be of the configured size.
 fn official_critic(config: &Config, path: &Path) -> Result<CriticWeights, TrainError> {
     let critic = CriticWeights::from_checkpoint(&mut Checkpoint::open(path)?, config.gpt.heads)?;
-    let shapes = |critic: &CriticWeights| -> Vec<(String, Vec<usize>)> {
+    let stored = |critic: &CriticWeights| {
         let mut store = Store::default();
         let _plan = CriticNet::new(critic, &mut store);
-        let entries = store.entries().iter();
-        entries
-            .map(|(name, tensor)| (name.clone(), tensor.shape().to_vec()))
-            .collect()
+        store
     };
-    if shapes(&critic) == shapes(&first_critic(config)) {
+    if stored(&critic).fits(&stored(&first_critic(config))) {
         return Ok(critic);
     }
     Err(TrainError::State {
@@ -380,6 +388,9 @@ mod tests {
             assert_eq!(stage.turn(step as u64), (wanted, *count), "{step}");
             *count += 1;
         }
+        stage.critic_steps = 0;
+        assert_eq!(stage.turn(0), (Turn::Critic, 0));
+        assert_eq!(stage.turn(3), (Turn::Both, 2));
     }
 
     /// A policy that knows nothing, with small windows.
@@ -465,9 +476,10 @@ mod tests {
     #[test]
     fn the_policy_gets_better_at_what_is_rewarded() {
         let quarter = |code: i32| if code % 4 == 0 { 1.0 } else { -1.0 };
-        let upper: Judge = Box::new(move |[upper, _], _| {
-            let rewards = upper.iter().map(|&code| [quarter(code); 3]);
-            rewards.collect()
+        let upper: Judge = Box::new(move |pieces, _| {
+            let rewards =
+                |[upper, _]: &[Vec<i32>; 2]| upper.iter().map(|&code| [quarter(code); 3]).collect();
+            pieces.iter().map(rewards).collect()
         });
         let [first, last] = learned(upper);
         assert!(first < 0.0 && last > first + 0.5, "{first} {last}");

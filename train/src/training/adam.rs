@@ -24,25 +24,25 @@ impl<B: Kernels> Adam<B> {
         }
     }
 
-    /// One step, the `step`-th counted from 0. A tensor without a gradient stays as it is.
+    /// One step, the `step`-th counted from 0, at each tensor's rate. A tensor without a gradient stays as it is.
     pub(super) fn step(
         &mut self,
         tensors: &mut [Device<B, 1>],
         gradients: Vec<Option<Device<B, 1>>>,
-        rate: f64,
+        rates: &[f64],
         step: u64,
     ) {
         let count = i32::try_from(step + 1).unwrap_or(i32::MAX);
-        let step = Descent {
-            betas: self.betas,
-            corrections: self.betas.map(|beta| 1.0 - beta.powi(count)),
-            rate,
-            epsilon: EPSILON,
-        };
         let moments = self.first.iter_mut().zip(&mut self.second);
-        for ((tensor, gradient), (first, second)) in tensors.iter_mut().zip(gradients).zip(moments)
-        {
+        let tensors = tensors.iter_mut().zip(rates).zip(gradients);
+        for (((tensor, &rate), gradient), (first, second)) in tensors.zip(moments) {
             let Some(gradient) = gradient else { continue };
+            let step = Descent {
+                betas: self.betas,
+                corrections: self.betas.map(|beta| 1.0 - beta.powi(count)),
+                rate,
+                epsilon: EPSILON,
+            };
             let empty = || Device::empty([0], &gradient.device());
             // Taken out, so that they may be changed in their place.
             let taken = [&mut *tensor, &mut *first, &mut *second]
@@ -98,7 +98,7 @@ mod tests {
         let (mut weight, mut first, mut second) = (1.0_f64, 0.0_f64, 0.0_f64);
         for (step, gradient) in [0.5, -0.1, 3.0].into_iter().enumerate() {
             let gradients = vec![Some(tensor([gradient as f32, 0.0]))];
-            adam.step(&mut tensors, gradients, 0.01, step as u64);
+            adam.step(&mut tensors, gradients, &[0.01], step as u64);
             first = 0.9 * first + 0.1 * gradient;
             second = 0.99 * second + 0.01 * gradient * gradient;
             let count = step as i32 + 1;

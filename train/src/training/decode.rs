@@ -2,13 +2,16 @@
 
 use bailando::motion::{Positions, integrate_root, to_world_frame};
 use burn_tensor::{Int, Tensor as Device, TensorData};
-use ndarray::Array2;
+use ndarray::{Array2, ArrayView2, Axis};
+use rayon::prelude::*;
 
 use super::{Config, FRAMES_PER_CODE, Stage, TrainError, velocity::Decoders, vqvae::Trained};
 use crate::nn::{Kernels, Parameters, values};
 
 /// Columns of positions.
 const COLUMNS: usize = 72;
+/// Most pieces that are decoded at once, which bounds the memory of their activations.
+const SIDE_BY_SIDE: usize = 256;
 
 /// The decoders of a finished VQ-VAE and its root branch.
 pub(super) struct DanceDecoder<B: Kernels> {
@@ -39,30 +42,45 @@ impl<B: Kernels> DanceDecoder<B> {
     /// World positions of a whole piece from its upper and lower codes, 8 frames a code; none where
     /// a decoder gives what is no number.
     pub(super) fn positions(&self, codes: &[Vec<i32>; 2]) -> Option<Positions> {
-        self.decoded([0, 1].map(|half| self.entries(codes, half)))
+        self.positions_of_equals(std::slice::from_ref(codes))
+            .pop()?
+    }
+
+    /// The same of many pieces, side by side where neighbours are of one length.
+    pub(super) fn positions_of_many(&self, pieces: &[[Vec<i32>; 2]]) -> Vec<Option<Positions>> {
+        let equals = pieces.chunk_by(|[one, _], [other, _]| one.len() == other.len());
+        let some = equals.flat_map(|equals| equals.chunks(SIDE_BY_SIDE));
+        some.flat_map(|some| self.positions_of_equals(some))
+            .collect()
+    }
+
+    fn positions_of_equals(&self, pieces: &[[Vec<i32>; 2]]) -> Vec<Option<Positions>> {
+        self.decoded([0, 1].map(|half| self.entries(pieces, half)))
     }
 
     /// The same from vectors in place of codebook entries, one code's values after the other's.
     pub(super) fn positions_of_vectors(&self, vectors: [Vec<f32>; 2]) -> Option<Positions> {
         let [_, channels] = self.trained.codebooks[0].entries().dims();
-        self.decoded(vectors.map(|vectors| {
+        let embedded = vectors.map(|vectors| {
             let shape = [1, vectors.len() / channels, channels];
             Device::from_data(TensorData::new(vectors, shape), &self.device)
-        }))
+        });
+        self.decoded(embedded).pop()?
     }
 
     /// The codebook entries of upper and lower code.
     pub(super) fn pair(&self, codes: [i32; 2]) -> [Vec<f32>; 2] {
-        let codes = codes.map(|code| vec![code]);
+        let codes = [codes.map(|code| vec![code])];
         [0, 1].map(|half| values(&self.entries(&codes, half)))
     }
 
-    fn decoded(&self, embedded: [Device<B, 3>; 2]) -> Option<Positions> {
+    /// Positions of each piece of a batch.
+    fn decoded(&self, embedded: [Device<B, 3>; 2]) -> Vec<Option<Positions>> {
         // A fourth column is the dancer's turning: the motion is in the dancer's frame.
         let turning = self.root_columns.len() - 3;
-        let [_, codes, _] = embedded[0].dims();
+        let [pieces, codes, _] = embedded[0].dims();
         let frames = codes * FRAMES_PER_CODE;
-        let mut columns = Array2::zeros((frames, COLUMNS + turning));
+        let mut columns = Array2::zeros((pieces * frames, COLUMNS + turning));
         let halves = &self.trained.halves;
         for (half, (net, places)) in halves.nets.iter().zip(&halves.columns).enumerate() {
             let learned_on = self.later.as_ref().and_then(|(decoders, parameters)| {
@@ -80,20 +98,29 @@ impl<B: Kernels> DanceDecoder<B> {
             let places: Vec<_> = self.root_columns.iter().copied().map(Some).collect();
             fill(&mut columns, &values(&decoded), &places);
         }
-        let world = if turning == 0 {
-            columns
-        } else {
-            to_world_frame(columns.view()).ok()?
+        let placed = |piece: ArrayView2<'_, f32>| {
+            if turning == 0 {
+                return integrate_root(piece, [0.0; 3]).ok();
+            }
+            let world = to_world_frame(piece).ok()?;
+            integrate_root(world.view(), [0.0; 3]).ok()
         };
-        integrate_root(world.view(), [0.0; 3]).ok()
+        let pieces: Vec<_> = columns.axis_chunks_iter(Axis(0), frames.max(1)).collect();
+        pieces.into_par_iter().map(placed).collect()
     }
 
-    /// Codebook entries of one half, `[1, codes, channels]`.
-    fn entries(&self, codes: &[Vec<i32>; 2], half: usize) -> Device<B, 3> {
-        let codes = codes[half].clone();
-        let shape = [codes.len()];
-        let codes = Device::<B, 1, Int>::from_data(TensorData::new(codes, shape), &self.device);
-        self.trained.codebooks[half].lookup(codes).unsqueeze_dim(0)
+    /// Codebook entries of one half, `[pieces, codes, channels]`; all pieces are as long as the first.
+    fn entries(&self, pieces: &[[Vec<i32>; 2]], half: usize) -> Device<B, 3> {
+        let codes: Vec<i32> = pieces
+            .iter()
+            .flat_map(|piece| &piece[half])
+            .copied()
+            .collect();
+        let length = codes.len();
+        let codes = Device::<B, 1, Int>::from_data(TensorData::new(codes, [length]), &self.device);
+        let entries = self.trained.codebooks[half].lookup(codes);
+        let [_, channels] = entries.dims();
+        entries.reshape([pieces.len(), length / pieces.len().max(1), channels])
     }
 }
 

@@ -102,6 +102,7 @@ fn on_device<J: Job>(name: &str, job: J) -> Result<J::Done, TrainError> {
         "wgpu" => guarded(name, || {
             job.run_on::<Autodiff<burn_wgpu::Wgpu>>(&Default::default())
         }),
+        #[allow(unreachable_patterns, reason = "a build may have either")]
         "cuda" | "wgpu" => Err(unknown(&format!(
             "not in this build: cargo build --release -p bailando-train --features {name}"
         ))),

@@ -57,6 +57,7 @@ pub(super) fn write<const N: usize>(
         temperature: config.export.temperature,
         guidance: config.export.guidance,
         candidates: config.export.candidates,
+        redo: config.export.redo,
         hop: config.export.hop,
         motion_frame: config.data.frame,
         root_height: config.export.root_height,
@@ -109,6 +110,7 @@ pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
         temperature: asked.temperature,
         guidance: asked.guidance,
         candidates: asked.candidates,
+        redo: asked.redo,
         hop: asked.hop.min(manifest.gpt.context),
         ..manifest.sampling
     };

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use bailando::{
     evaluation::{Pose, speed},
-    motion::{Positions, beat_meeting, dance_beats, slow_share, smoothed},
+    motion::{Positions, beat_meeting, beat_nearness, dance_beats, slow_share, smoothed},
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -33,6 +33,10 @@ pub enum BeatReward {
     /// nearness to the other's (the terms of Eq. 15), from -1 to 1; 0 for a code without any. Eight frames
     /// are coarser than Eq. 15 is, and without the dance's beats more of them would pay.
     Align,
+    /// Ours, what Eq. 15 gives above its chance: the mean over the code's music beats of the dance's nearness to
+    /// them, less its mean over the frames that no other music beat is nearer to; 0 for a code without any. More beats
+    /// of the dance, wherever they are, gain nothing.
+    Margin,
     /// Ours: how well the smoothed speed goes with the music's pulse, slowest on its beats and fastest between
     /// them. It is the correlation of the speed with minus the cosine of the place between two beats, of
     /// which a code has the part of its frames: from -1 to 1 for a whole piece, 0 for frames outside the beats. Every
@@ -52,6 +56,9 @@ pub struct RewardRule {
     /// What a code loses if all its frames are slow (METRICS.md), else their share of it: standing still
     /// has no beat to miss.
     pub slow_weight: f64,
+    /// What a code gains for each metre per second of its frames' mean joint speed: where beats alone
+    /// count, a slow dance is safer.
+    pub speed_weight: f64,
 }
 
 /// The reward of one code.
@@ -92,7 +99,9 @@ impl RewardRule {
             };
             let mut reward = self.weighed(beat, consistency(poses));
             let steps = speed.get(first..(first + poses.len()).min(speed.len()));
-            reward.total -= self.slow_weight * slow_share(steps.unwrap_or_default(), FPS);
+            let steps = steps.unwrap_or_default();
+            reward.total -= self.slow_weight * slow_share(steps, FPS);
+            reward.total += self.speed_weight * FPS * mean(steps);
             reward
         });
         rewards.collect()
@@ -119,11 +128,30 @@ impl BeatReward {
                 let meeting = beat_meeting(music, dance, frames);
                 return meeting.map_or(0.0, |meeting| 2.0 * meeting - 1.0);
             }
+            Self::Margin => return margin(music, dance, frames),
             // Beats of the dance have no part in it.
             Self::Pulse => return 0.0,
         };
         if good { 1.0 } else { -1.0 }
     }
+}
+
+/// See [`BeatReward::Margin`]. There must be two beats of the music to tell how far they are apart.
+fn margin(music: &[usize], dance: &[usize], frames: Range<usize>) -> f64 {
+    let of_beat = |place: usize| {
+        let beat = *music.get(place)?;
+        let half_way = |other: Option<&usize>| other.map(|&other| other.abs_diff(beat) / 2);
+        let before = half_way(place.checked_sub(1).and_then(|before| music.get(before)));
+        let after = half_way(music.get(place + 1));
+        // At either end of the music the other side's distance stands for both.
+        let (before, after) = (before.or(after)?, after.or(before)?);
+        let around: Vec<usize> = (beat.saturating_sub(before)..beat + after.max(1)).collect();
+        Some(beat_nearness(&[beat], dance) - beat_nearness(&around, dance))
+    };
+    let first = music.partition_point(|&beat| beat < frames.start);
+    let end = music.partition_point(|&beat| beat < frames.end);
+    let margins: Vec<f64> = (first..end).filter_map(of_beat).collect();
+    mean(&margins)
 }
 
 /// Each frame's part in the correlation of smoothed speed and the music's pulse.
@@ -276,6 +304,27 @@ mod tests {
         assert!((align(&[23], &[17, 22]) - (2.0 * mean - 1.0)).abs() < 1e-12);
     }
 
+    #[test]
+    fn a_margin_is_what_is_above_chance() {
+        let near = |d: f64| (-d * d / 18.0).exp();
+        let margin = |dance: &[usize]| BeatReward::Margin.of(&[10, 30, 50], dance, 24..32);
+        // Frames 20 to 39 are nearest to the music beat at 30.
+        let chance = (20..40)
+            .map(|frame| near(f64::from(frame) - 30.0))
+            .sum::<f64>()
+            / 20.0;
+        assert!((margin(&[30]) - (1.0 - chance)).abs() < 1e-12);
+        assert!((margin(&[10, 30, 50]) - (1.0 - chance)).abs() < 1e-2);
+        assert!(margin(&[40]) < -0.15, "{}", margin(&[40]));
+        assert_eq!(margin(&[]), 0.0);
+        // Beats everywhere are on every beat, and gain nothing.
+        let everywhere: Vec<usize> = (0..60).collect();
+        assert!(margin(&everywhere).abs() < 1e-12);
+        // No music beat among the frames, or no other one that tells how far they are apart.
+        assert_eq!(BeatReward::Margin.of(&[10, 50], &[30], 24..32), 0.0);
+        assert_eq!(BeatReward::Margin.of(&[30], &[30], 24..32), 0.0);
+    }
+
     /// Everything moves along x with a speed that is slowest at frames 20, 60, 100, ..
     fn dance(frames: usize) -> Positions {
         let still = pose(0.0, 0.0);
@@ -307,6 +356,7 @@ mod tests {
             beat_weight: 5.0,
             consistency_weight: 1.0,
             slow_weight: 0.0,
+            speed_weight: 0.0,
         };
         // Dance beats are in the codes of frames 20 (code 2), 60 (7), 100 (12) and 140 (17).
         let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
@@ -322,11 +372,24 @@ mod tests {
             beat_weight: 5.0,
             consistency_weight: 0.0,
             slow_weight: 0.0,
+            speed_weight: 0.0,
         };
         let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
         let good = rewards.iter().enumerate().filter(|(_, r)| r.total == 5.0);
         assert_eq!(good.map(|(code, _)| code).collect::<Vec<_>>(), [2, 7]);
         assert!(rewards.iter().all(|reward| reward.total.abs() == 5.0));
+        let quick = RewardRule {
+            speed_weight: 0.5,
+            ..rule
+        };
+        // Half of the metres that a second's frames move, beside the same beats.
+        let quick = quick.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
+        let speed = speed(&poses(&positions));
+        for (code, (quick, plain)) in quick.iter().zip(&rewards).enumerate() {
+            let steps = &speed[8 * code..(8 * code + 8).min(speed.len())];
+            let gained = 0.5 * 60.0 * steps.iter().sum::<f64>() / steps.len() as f64;
+            assert!(gained > 0.1 && (quick.total - plain.total - gained).abs() < 1e-12);
+        }
         assert!(rule.rewards(&dance(0), &[]).is_empty());
     }
 
@@ -337,6 +400,7 @@ mod tests {
             beat_weight: 1.0,
             consistency_weight: 0.0,
             slow_weight: 0.0,
+            speed_weight: 0.0,
         };
         let positions = dance(200);
         // The speed is slowest at frames 20, 60, 100, ..; its smoothing mirrors the ends.

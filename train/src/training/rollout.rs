@@ -3,6 +3,7 @@
 
 use ndarray::{ArrayView2, Axis, Slice};
 use rand_chacha::rand_core::Rng;
+use rayon::prelude::*;
 
 use super::{
     FRAMES_PER_CODE,
@@ -55,7 +56,7 @@ pub(super) struct Episode {
     /// Upper and lower codes.
     pub(super) codes: [Vec<i32>; 2],
     /// Total, `R_b` and `R_c` of every code; with several takes, less the mean over these.
-    pub(super) rewards: Vec<[f32; 3]>,
+    pub(super) rewards: Rewards,
 }
 
 /// The pieces of an epoch, and the order in which their windows are learned from.
@@ -144,15 +145,19 @@ impl Repertoire {
         while wishes.peek().is_some() {
             codes.extend(sampler.generate(wishes.by_ref().take(batch).collect()));
         }
-        let episodes = excerpts
-            .into_iter()
-            .zip(codes)
-            .map(|(excerpt, codes)| Episode {
-                rewards: judge(&codes, self.beats(excerpt)),
+        let beats: Vec<&[bool]> = excerpts
+            .iter()
+            .map(|&excerpt| self.beats(excerpt))
+            .collect();
+        let rewards = judge(&codes, &beats);
+        let judged = excerpts.into_iter().zip(codes).zip(rewards);
+        let mut episodes: Vec<Episode> = judged
+            .map(|((excerpt, codes), rewards)| Episode {
                 excerpt,
                 codes,
-            });
-        let mut episodes: Vec<Episode> = episodes.collect();
+                rewards,
+            })
+            .collect();
         let mean_rewards = mean_rewards(&episodes);
         if takes > 1 {
             episodes.chunks_mut(takes).for_each(compare);
@@ -272,21 +277,28 @@ fn compare(takes: &mut [Episode]) {
     }
 }
 
-/// Tells total, `R_b` and `R_c` of each code of a piece from its codes and its music's beats.
-pub(super) type Judge = Box<dyn Fn(&[Vec<i32>; 2], &[bool]) -> Vec<[f32; 3]>>;
+/// Total, `R_b` and `R_c` of each code of a piece.
+pub(super) type Rewards = Vec<[f32; 3]>;
+/// Tells the rewards of pieces from their codes and their music's beats.
+pub(super) type Judge = Box<dyn Fn(&[[Vec<i32>; 2]], &[&[bool]]) -> Vec<Rewards>>;
 
 /// Judges by the decoded dance; pieces are decoded whole. No numbers where the decoder gives none,
 /// which ends the run.
 pub(super) fn judge<B: Kernels>(decoder: DanceDecoder<B>, rule: RewardRule) -> Judge {
-    Box::new(move |codes, music_beats| {
-        let Some(positions) = decoder.positions(codes) else {
-            return vec![[f32::NAN; 3]; codes[0].len()];
-        };
-        let rewards = rule.rewards(&positions, music_beats).into_iter();
-        let rewards = rewards.map(|reward| [reward.total, reward.beat, reward.consistency]);
-        rewards
-            .map(|reward| reward.map(|part| part as f32))
-            .collect()
+    Box::new(move |pieces, music_beats| {
+        let positions = decoder.positions_of_many(pieces);
+        let judged = positions.par_iter().zip(pieces).zip(music_beats);
+        let rewards = judged.map(|((positions, codes), music_beats)| {
+            let Some(positions) = positions else {
+                return vec![[f32::NAN; 3]; codes[0].len()];
+            };
+            let rewards = rule.rewards(positions, music_beats).into_iter();
+            let rewards = rewards.map(|reward| [reward.total, reward.beat, reward.consistency]);
+            rewards
+                .map(|reward| reward.map(|part| part as f32))
+                .collect()
+        });
+        rewards.collect()
     })
 }
 

@@ -34,10 +34,11 @@ pub(super) trait Work<A: Trainable> {
     fn earlier_updates(&self, step: u64) -> u64 {
         step
     }
-    /// Whether the weights of this name learn; a loss may have a derivative for others, too.
-    fn learns(&self, name: &str) -> bool {
+    /// How fast the weights of this name learn, in units of the stage's rate; 0: they stay as they are, though the
+    /// loss may have a derivative for them.
+    fn rate_factor(&self, name: &str) -> f64 {
         let _ = name;
-        true
+        1.0
     }
     /// The metrics on the test split, without derivatives, dropout or change of any state; `None` where there is no test split.
     fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {

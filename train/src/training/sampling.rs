@@ -3,6 +3,7 @@
 use burn_tensor::{Int, Tensor as Device, TensorData};
 use ndarray::ArrayView2;
 use rand_chacha::{ChaCha8Rng, rand_core::Rng};
+use rayon::prelude::*;
 
 use crate::nn::{GptNet, Kernels, Memory, Parameters, values};
 
@@ -70,23 +71,42 @@ impl<B: Kernels> Sampler<'_, B> {
                 Some(memory) => self.extended(memory, &wishes, &pieces, &unfinished),
                 None => self.logits(&wishes, &pieces, &unfinished, known),
             };
-            for (place, &piece) in unfinished.iter().enumerate() {
-                let mut next = |logits: &[f32]| {
-                    let vocabulary = logits.len() / unfinished.len();
-                    let logits = &logits[place * vocabulary..][..vocabulary];
-                    draw(logits, self.temperature, &mut wishes[piece].random) as i32
-                };
-                let upper = next(&logits[0]);
-                let lower = match self.net.has_one_code() {
-                    true => upper,
-                    false => next(&logits[1]),
-                };
-                let [upper_codes, lower_codes] = &mut pieces[piece];
-                upper_codes.push(upper);
-                lower_codes.push(lower);
+            let drawn = self.drawn(&logits, &mut wishes, &unfinished);
+            for (&piece, codes) in unfinished.iter().zip(drawn) {
+                let halves = pieces[piece].iter_mut().zip(codes);
+                halves.for_each(|(half, code)| half.push(code));
             }
         }
         pieces
+    }
+
+    /// The next upper and lower code of the given pieces, each by its own random numbers.
+    fn drawn(
+        &self,
+        logits: &[Vec<f32>; 2],
+        wishes: &mut [Wish<'_>],
+        unfinished: &[usize],
+    ) -> Vec<[i32; 2]> {
+        let (temperature, one_code) = (self.temperature, self.net.has_one_code());
+        let pieces = wishes.iter_mut().enumerate();
+        let mut pieces: Vec<&mut ChaCha8Rng> = pieces
+            .filter(|(piece, _)| unfinished.binary_search(piece).is_ok())
+            .map(|(_, wish)| &mut wish.random)
+            .collect();
+        let count = pieces.len();
+        let drawn = pieces.par_iter_mut().enumerate().map(|(place, random)| {
+            let mut next = |logits: &[f32]| {
+                let vocabulary = logits.len() / count;
+                draw(
+                    &logits[place * vocabulary..][..vocabulary],
+                    temperature,
+                    random,
+                ) as i32
+            };
+            let upper = next(&logits[0]);
+            [upper, if one_code { upper } else { next(&logits[1]) }]
+        });
+        drawn.collect()
     }
 
     /// Pieces of vectors in place of codes, from their first vectors on: what the network gives is

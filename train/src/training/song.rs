@@ -1,17 +1,17 @@
 //! The music that a policy dances to: no dance is needed.
 
-use std::{collections::BTreeSet, path::Path};
+use std::{collections::BTreeMap, path::Path};
 
 use bailando::features::BEAT_COLUMN;
 use ndarray::Array2;
 use rayon::prelude::*;
 
 use super::{
-    TrainError,
+    FRAMES_PER_CODE, TrainError,
     config::DataConfig,
     songs::{feature_cache, music_library},
 };
-use crate::data::{DataError, MusicLibrary, MusicSource, Portion, Training};
+use crate::data::{DataError, FPS, MusicLibrary, MusicSource, Portion, Training};
 
 /// A song's features, and where its beats are.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,17 +23,36 @@ pub struct Song {
 }
 
 impl Song {
-    /// Features and beats of a song; beats are column 53 of its features at 60 rows a second
-    /// (ARCHITECTURE section 7).
-    fn read(music: &MusicSource, library: &mut MusicLibrary) -> Result<Self, DataError> {
+    /// Features and beats of a song. Beats are those that the data tell, in seconds; where they tell none, column 53
+    /// of its features at 60 rows a second (ARCHITECTURE section 7), which may hold every other one or lie beside them.
+    fn read(
+        music: &MusicSource,
+        told: &[f64],
+        library: &mut MusicLibrary,
+    ) -> Result<Self, DataError> {
         let rows = library.conditioning(music, 0)?;
-        let beats = library.beats(music, 0)?;
-        let beats = beats.column(BEAT_COLUMN);
-        Ok(Self {
-            rows,
-            beats: beats.into_iter().map(|&beat| beat > 0.5).collect(),
-        })
+        let beats = if told.is_empty() {
+            let beats = library.beats(music, 0)?;
+            let beats = beats.column(BEAT_COLUMN);
+            beats.into_iter().map(|&beat| beat > 0.5).collect()
+        } else {
+            beats_by_frame(told, rows.nrows() * FRAMES_PER_CODE)
+        };
+        Ok(Self { rows, beats })
     }
+}
+
+/// Whether there is a beat, for each of so many frames.
+fn beats_by_frame(beats_s: &[f64], frames: usize) -> Vec<bool> {
+    let mut beats = vec![false; frames];
+    for beat in beats_s {
+        let frame = (beat * FPS as f64).round();
+        // A beat before the song's start is none of its frames.
+        if let Some(beat) = beats.get_mut(frame as usize).filter(|_| frame >= 0.0) {
+            *beat = true;
+        }
+    }
+    beats
 }
 
 /// An audio file that a policy is to adapt to.
@@ -44,6 +63,7 @@ pub fn target_song(data: &DataConfig, path: &Path) -> Result<Song, TrainError> {
     let mut library = music_library(data, feature_cache(data)?);
     Ok(Song::read(
         &MusicSource::Audio(path.to_owned()),
+        &[],
         &mut library,
     )?)
 }
@@ -56,11 +76,27 @@ pub(super) fn training_songs(
     let cache = feature_cache(data)?;
     let library = || music_library(data, cache.clone());
     let songs = portion.dances().iter().flat_map(|dance| dance.songs());
-    let music: BTreeSet<&MusicSource> = songs.filter_map(|song| song.music.as_ref()).collect();
+    let music: BTreeMap<&MusicSource, &[f64]> = songs
+        .filter_map(|song| Some((song.music.as_ref()?, song.grid_beats_s.as_slice())))
+        .collect();
     let songs = music
         .into_par_iter()
-        .map_init(library, |library, music| Song::read(music, library));
+        .map_init(library, |library, (music, told)| {
+            Song::read(music, told, library)
+        });
     // The first that fails is told of, whichever was read first.
     let songs: Vec<Result<_, DataError>> = songs.collect();
     Ok(songs.into_iter().collect::<Result<_, _>>()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn beats_fall_on_the_nearest_frame_of_the_song() {
+        let beats = beats_by_frame(&[-0.1, 0.0, 0.051, 0.1, 0.2], 12);
+        let frames: Vec<usize> = (0..12).filter(|&frame| beats[frame]).collect();
+        assert_eq!(frames, [0, 3, 6]);
+    }
 }

@@ -31,7 +31,7 @@ pub(super) struct Best {
 pub(super) struct State<A: Trainable> {
     parameters: Parameters<A::InnerBackend>,
     /// Which of them learn.
-    learns: Vec<bool>,
+    rate_factors: Vec<f64>,
     adam: Adam<A::InnerBackend>,
     pub(super) step: u64,
     pub(super) best: Option<Best>,
@@ -55,11 +55,11 @@ impl<A: Trainable> State<A> {
         let mut state = Self {
             adam: Adam::new(parameters.tensors(), plan.training.betas),
             parameters,
-            learns: plan
+            rate_factors: plan
                 .store
                 .entries()
                 .iter()
-                .map(|(name, _)| work.learns(name))
+                .map(|(name, _)| work.rate_factor(name))
                 .collect(),
             step: 0,
             best: None,
@@ -122,18 +122,23 @@ impl<A: Trainable> State<A> {
         let tracked: Parameters<A> = self.parameters.tracked();
         let Losses { loss, metrics } = work.step(&tracked, self.step);
         let mut gradients = loss.backward();
-        let tensors = tracked.tensors().iter().zip(&self.learns);
-        let gradient = |(tensor, learns): (&Device<A, 1>, &bool)| {
+        let tensors = tracked.tensors().iter().zip(&self.rate_factors);
+        let gradient = |(tensor, factor): (&Device<A, 1>, &f64)| {
             let gradient = tensor.grad_remove(&mut gradients);
-            gradient.filter(|_| *learns)
+            gradient.filter(|_| *factor > 0.0)
         };
         let mut gradients: Vec<_> = tensors.map(gradient).collect();
         // The last copies but our own: what nobody else has is changed in its place.
         drop(tracked);
         clip(&mut gradients, training.clip);
         let earlier = work.earlier_updates(self.step);
+        let rates: Vec<f64> = self
+            .rate_factors
+            .iter()
+            .map(|factor| rate * factor)
+            .collect();
         self.adam
-            .step(self.parameters.tensors_mut(), gradients, rate, earlier);
+            .step(self.parameters.tensors_mut(), gradients, &rates, earlier);
         for (sum, value) in self.sums.iter_mut().zip(metrics) {
             *sum = sum.clone() + value;
         }

@@ -277,6 +277,26 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
     let root = |dance: &Positions| dance.index_axis(Axis(1), 0).to_owned();
     assert_eq!(root(&learned_on), root(&as_they_were));
     assert_ne!(learned_on, as_they_were);
+
+    // Side by side they come out as each by itself, whatever their lengths.
+    let shorter = codes.each_ref().map(|half| half[1..].to_vec());
+    let reversed = codes
+        .each_ref()
+        .map(|half| half.iter().rev().copied().collect());
+    let pieces = [codes, reversed, shorter];
+    let decoder = DanceDecoder::<Flex>::read(&config, &FlexDevice).unwrap();
+    let together = decoder.positions_of_many(&pieces);
+    assert_eq!(together.len(), pieces.len());
+    for (together, codes) in together.into_iter().zip(&pieces) {
+        let (together, alone) = (together.unwrap(), decoder.positions(codes).unwrap());
+        assert_eq!(together.dim(), alone.dim());
+        let pairs = together.iter().zip(&alone);
+        assert!(
+            pairs
+                .into_iter()
+                .all(|(one, other)| (one - other).abs() < 1e-4)
+        );
+    }
 }
 
 /// `columns` of training are those of the test.

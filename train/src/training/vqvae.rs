@@ -174,16 +174,9 @@ impl<'a, A: Trainable> VqVaeWork<'a, A> {
         if let Some(path) = init {
             let weights = VqVaeWeights::from_checkpoint(&mut Checkpoint::open(path)?)?;
             let found = Halves::new(config, weights);
-            let shapes = |store: &Store| -> Vec<Vec<usize>> {
-                store
-                    .entries()
-                    .iter()
-                    .map(|(_, tensor)| tensor.shape().to_vec())
-                    .collect()
-            };
             let tables = [&found.weights.upper.codebook, &found.weights.lower.codebook];
             let wanted = [stage.codes, stage.embedding];
-            if shapes(&found.store) != shapes(&halves.store)
+            if !found.store.fits(&halves.store)
                 || tables.iter().any(|table| table.shape() != wanted)
             {
                 return Err(TrainError::State {

@@ -66,6 +66,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             temperature: 0.0,
             guidance: 1.0,
             candidates: 1,
+            redo: false,
             hop: PUBLISHED_HOP,
             motion_frame: MotionFrame::World,
             root_height: 0.93,

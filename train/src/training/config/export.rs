@@ -18,6 +18,7 @@ pub struct ExportConfig {
     pub temperature: f32,
     pub guidance: f32,
     pub candidates: usize,
+    pub redo: bool,
     pub hop: usize,
     pub weights: WeightStorage,
 }

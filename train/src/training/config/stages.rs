@@ -177,6 +177,7 @@ pub struct ActorCriticConfig {
     pub beat_weight: f64,
     pub consistency_weight: f64,
     pub slow_weight: f64,
+    pub speed_weight: f64,
     pub discount: f64,
     pub trace: f64,
     pub reward_lead: usize,
@@ -192,19 +193,22 @@ pub struct ActorCriticConfig {
     pub actor_steps: u64,
     pub critic_steps: u64,
     pub critic_warmup_steps: u64,
+    pub critic_rate_factor: f64,
     pub training: TrainingConfig,
 }
 
 impl ActorCriticConfig {
     pub(super) fn check(&self) -> Result<(), String> {
-        if self.actor_steps == 0 || self.critic_steps == 0 {
-            return Err("actor_steps and critic_steps must be at least 1".into());
+        if self.actor_steps == 0 {
+            return Err("actor_steps must be at least 1".into());
         }
         at_least_one([("critic_layers", self.critic_layers), ("takes", self.takes)])?;
         not_negative([
             ("beat_weight", self.beat_weight),
             ("consistency_weight", self.consistency_weight),
             ("slow_weight", self.slow_weight),
+            ("speed_weight", self.speed_weight),
+            ("critic_rate_factor", self.critic_rate_factor),
             ("discount", self.discount),
             ("trace", self.trace),
             ("entropy_weight", self.entropy_weight),
