@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The figures of a model card: the test split of a data folder danced to by a model, three times, and
+# The figures of a model card: the test split of a data folder danced to by a model, a few times, and
 # measured against the recordings; the recordings through its VQ-VAE alone, measured the same way;
 # whether it hears; and ten dances each to songs of other genres (and DATA/demo/demo.flac, if there is one).
 # Usage: scripts/evaluate-model.sh [MODEL [DATA [OUT]]]
