@@ -12,47 +12,27 @@
 #[allow(dead_code, reason = "other tests use the rest of it")]
 mod writers;
 
+#[path = "common/demo.rs"]
+mod demo;
+
 use std::{
     collections::HashSet,
-    path::Path,
-    sync::{Arc, Mutex, OnceLock},
+    sync::{Arc, Mutex},
 };
 
 use bailando::{
     CancelToken,
     audio::AudioLimits,
-    engine::{
-        Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions, Listener, Opening, Progress,
-    },
-    evaluation::{Motion, speed},
+    engine::{GenerationOptions, Listener, Opening, Progress},
     format::{BvhUnit, Dance, JsonOptions, OutputFormat, Tail},
-    motion::{Positions, beat_nearness, dance_beats, forward, lower_foot_heights},
+    motion::{Positions, forward, lower_foot_heights},
 };
+use demo::{choreographer, fixture};
 use ndarray::{Array2, Axis};
 use writers::wav16;
 
 const SONG_SECONDS: f64 = 30.0;
 const FPS: usize = 60;
-
-fn choreographer() -> &'static Choreographer {
-    static MODEL: OnceLock<Choreographer> = OnceLock::new();
-    MODEL.get_or_init(|| {
-        Choreographer::open(&EngineConfig {
-            model_dir: Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default"),
-            threads: 2,
-            batch: DEFAULT_BATCH.get(),
-            queue: 8,
-            audio: AudioLimits::default(),
-            observer: std::sync::Arc::new(()),
-        })
-        .unwrap()
-    })
-}
-
-fn fixture(name: &str) -> Vec<u8> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/audio");
-    std::fs::read(folder.join(name)).unwrap()
-}
 
 fn dance(audio: Vec<u8>, seed: u64) -> Dance {
     let options = GenerationOptions {
@@ -293,9 +273,12 @@ impl Listener for Recorder {
 
 #[test]
 fn a_stream_is_the_dance_in_pieces() {
-    for fps in [60, 30] {
+    for (fps, seed) in [60, 30]
+        .into_iter()
+        .flat_map(|fps| (3..=5).map(move |seed| (fps, seed)))
+    {
         let options = GenerationOptions {
-            seed: Some(5),
+            seed: Some(seed),
             fps,
             music: true,
             ..GenerationOptions::default()
@@ -341,9 +324,14 @@ fn a_stream_is_the_dance_in_pieces() {
             }
         }
         assert_eq!(next, opening.frames);
-        let furthest = heights.iter().copied().fold(0.0, f32::max);
-        println!("{fps} fps: heights of the stream differ by {furthest:.4} m at most");
-        assert!(furthest < 0.03, "{furthest} m");
+        heights.sort_by(f32::total_cmp);
+        let [most, furthest] =
+            [99, 100].map(|percent| heights[(heights.len() - 1) * percent / 100]);
+        println!(
+            "{fps} fps, seed {seed}: heights of the stream differ by {most:.4} m in 99 of 100 places, {furthest:.4} m at most"
+        );
+        // A whole dance knows more of where the floor is than what was heard so far.
+        assert!(most < 0.03 && furthest < 0.05, "{most} {furthest}");
     }
 }
 
@@ -437,60 +425,6 @@ fn a_pair_of_codes_is_a_pose_that_stands() {
             .all(|h| h.abs() < 0.1)
     );
     assert!(choreographer().pose(u32::MAX, 0).is_err());
-}
-
-/// Mean nearness of the demo song's beats to the dance's (Eq. 15), over a few seeds.
-fn beat_score(candidates: usize) -> f64 {
-    const SEEDS: std::ops::Range<u64> = 0..8;
-    let scores = SEEDS.map(|seed| {
-        let options = GenerationOptions {
-            seed: Some(seed),
-            candidates: Some(candidates),
-            music: true,
-            ..GenerationOptions::default()
-        };
-        let audio = fixture("demo.ogg").into();
-        let dance = choreographer()
-            .generate(audio, &options, &CancelToken::new())
-            .unwrap();
-        let motion = Motion::new("demo", dance.positions.view()).unwrap();
-        let beats = dance.music.unwrap().beats_s;
-        let music: Vec<usize> = beats
-            .iter()
-            .map(|second| (second * FPS as f64).round() as usize)
-            .collect();
-        beat_nearness(&music, &dance_beats(&speed(motion.poses())))
-    });
-    scores.sum::<f64>() / SEEDS.count() as f64
-}
-
-#[test]
-fn of_several_candidates_those_on_the_beat_are_danced() {
-    let (one, six) = (beat_score(1), beat_score(6));
-    println!("beat score {one:.3} of one candidate, {six:.3} of six");
-    assert!(six > one + 0.03, "{one} {six}");
-}
-
-#[test]
-fn a_dance_that_may_be_danced_anew_repeats_itself() {
-    let codes = |seed: u64, temperature: f32, redo: bool| {
-        let options = GenerationOptions {
-            seed: Some(seed),
-            temperature: Some(temperature),
-            redo: Some(redo),
-            ..GenerationOptions::default()
-        };
-        let audio = fixture("demo.ogg").into();
-        let dance = choreographer().generate(audio, &options, &CancelToken::new());
-        dance.unwrap().codes
-    };
-    let anew = codes(1, 0.85, true);
-    assert_eq!(anew, codes(1, 0.85, true));
-    assert_ne!(anew, codes(2, 0.85, true));
-    // Each phrase has random numbers of its own then.
-    assert_ne!(anew, codes(1, 0.85, false));
-    // The most likely codes are the same however often they are asked for.
-    assert_eq!(codes(1, 0.0, true), codes(1, 0.0, false));
 }
 
 #[test]

@@ -23,6 +23,8 @@ use crate::{
 /// by side; at a phrase's start nothing that the model remembers of them is needed.
 pub(crate) struct Piece {
     job: Job,
+    /// Upper and lower codes that may be drawn.
+    drawable: [Vec<u32>; 2],
     guide: Option<Guide>,
     /// The request's generator, which serves a single dance throughout.
     sampler: Sampler,
@@ -50,7 +52,9 @@ impl Piece {
     /// Before its first step.
     pub(crate) fn new(job: Job, manifest: &Manifest) -> Self {
         let mut sampler = Sampler::new(job.sampling, job.seed);
-        let drawn = start_codes(job.start, manifest, &mut sampler);
+        let drawable = manifest.suppressed_codes.others(manifest.vocabulary);
+        let pairs = &manifest.start_codes;
+        let drawn = start_codes(job.start, pairs, &drawable, &mut sampler);
         let leads = |half: &[u32]| half.last().copied();
         let [upper, lower] = [
             leads(&job.history.upper).unwrap_or(drawn[0]),
@@ -68,6 +72,7 @@ impl Piece {
             },
             motion: Array2::zeros((0, columns)),
             job,
+            drawable,
             sampler,
             settled: Codes {
                 upper: vec![upper],
@@ -221,14 +226,16 @@ impl Piece {
                 (&logits.upper, &mut codes.upper),
                 (&logits.lower, &mut codes.lower),
             ];
-            for (logits, codes) in halves {
+            for ((logits, codes), drawable) in halves.into_iter().zip(&self.drawable) {
                 let heard = logits.row(row);
                 let code = match guide {
-                    Some(guide) => sampler.next(guide.lead(heard, logits.row(row + count))),
-                    None => sampler.next(heard.iter().copied()),
+                    Some(guide) => {
+                        let led = guide.lead(heard, logits.row(row + count));
+                        sampler.next(of_codes(drawable, led))
+                    }
+                    None => sampler.next(of_codes(drawable, heard.iter().copied())),
                 };
-                // The vocabulary is at most u32::MAX: the manifest's check says so.
-                codes.push(code as u32);
+                codes.push(code);
             }
         }
     }
@@ -349,20 +356,62 @@ fn steps<'a>(
     }
 }
 
+/// The logits of some codes, ascending, out of those of all.
+fn of_codes(codes: &[u32], logits: impl Iterator<Item = f32>) -> impl Iterator<Item = (u32, f32)> {
+    let mut wanted = codes.iter().copied().peekable();
+    (0..)
+        .zip(logits)
+        .filter(move |&(code, _)| wanted.next_if_eq(&code).is_some())
+}
+
 /// The start pair: given codes win; the rest is drawn as a pair from the manifest's list, or from
-/// the whole vocabulary when it has none. Both numbers are drawn always, so that giving one half
+/// all that may be drawn when it has none. Both numbers are drawn always, so that giving one half
 /// does not change the dance's other draws.
-fn start_codes(given: [Option<u32>; 2], manifest: &Manifest, sampler: &mut Sampler) -> [u32; 2] {
-    let vocabulary = manifest.vocabulary;
-    let drawn = match manifest.start_codes.as_slice() {
-        [] => [
-            sampler.uniform(vocabulary.upper) as u32,
-            sampler.uniform(vocabulary.lower) as u32,
-        ],
+fn start_codes(
+    given: [Option<u32>; 2],
+    pairs: &[[u32; 2]],
+    drawable: &[Vec<u32>; 2],
+    sampler: &mut Sampler,
+) -> [u32; 2] {
+    let drawn = match pairs {
+        [] => drawable.each_ref().map(|codes| {
+            let place = sampler.uniform(codes.len());
+            codes.get(place).copied().unwrap_or_default()
+        }),
         pairs => pairs
             .get(sampler.uniform(pairs.len()))
             .copied()
             .unwrap_or_default(),
     };
     [given[0].unwrap_or(drawn[0]), given[1].unwrap_or(drawn[1])]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::sampler::Sampling, *};
+
+    #[test]
+    fn logits_of_some_codes_keep_their_codes() {
+        let found: Vec<_> = of_codes(&[0, 2, 3], [0.5, 1.5, 2.5, 3.5].into_iter()).collect();
+        assert_eq!(found, [(0, 0.5), (2, 2.5), (3, 3.5)]);
+    }
+
+    #[test]
+    fn starts_are_drawn_from_pairs_or_from_what_may_be_drawn() {
+        let sampling = Sampling {
+            temperature: 1.0,
+            top_k: None,
+        };
+        let mut sampler = Sampler::new(sampling, 3);
+        let drawable = [vec![4], vec![1, 9]];
+        let mut seen = [0; 2];
+        for _ in 0..50 {
+            let [upper, lower] = start_codes([None; 2], &[], &drawable, &mut sampler);
+            assert!(upper == 4 && [1, 9].contains(&lower));
+            seen[usize::from(lower == 9)] += 1;
+        }
+        assert!(seen.iter().all(|&count| count > 5), "{seen:?}");
+        let given = start_codes([None, Some(7)], &[[2, 3]], &drawable, &mut sampler);
+        assert_eq!(given, [2, 7]);
+    }
 }

@@ -23,7 +23,7 @@ pub(crate) struct Sampler {
     sampling: Sampling,
     generator: ChaCha8Rng,
     // (logit, code) of the candidates, kept to avoid an allocation per step.
-    candidates: Vec<(f32, usize)>,
+    candidates: Vec<(f32, u32)>,
 }
 
 impl Sampler {
@@ -48,14 +48,15 @@ impl Sampler {
         self.generator.random_range(0..count.max(1))
     }
 
-    /// The next code. Argmax takes the first maximum; top-k comes before temperature.
-    pub(crate) fn next(&mut self, logits: impl Iterator<Item = f32>) -> usize {
+    /// The next code of those given with their logits. Argmax takes the first maximum; top-k comes before
+    /// temperature.
+    pub(crate) fn next(&mut self, logits: impl Iterator<Item = (u32, f32)>) -> u32 {
         if self.sampling.temperature == 0.0 {
             return argmax(logits);
         }
         self.candidates.clear();
         self.candidates
-            .extend(logits.enumerate().map(|(code, logit)| (logit, code)));
+            .extend(logits.map(|(code, logit)| (logit, code)));
         // Most likely first, smaller code first on ties, so that a seed means the same everywhere.
         self.candidates
             .sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
@@ -64,7 +65,7 @@ impl Sampler {
         self.draw()
     }
 
-    fn draw(&mut self) -> usize {
+    fn draw(&mut self) -> u32 {
         let highest = self.candidates.first().map_or(0.0, |c| f64::from(c.0));
         let temperature = f64::from(self.sampling.temperature);
         let weight = |logit: f32| ((f64::from(logit) - highest) / temperature).exp();
@@ -81,9 +82,9 @@ impl Sampler {
     }
 }
 
-fn argmax(logits: impl Iterator<Item = f32>) -> usize {
+fn argmax(logits: impl Iterator<Item = (u32, f32)>) -> u32 {
     let mut best = (f32::NEG_INFINITY, 0);
-    for (code, logit) in logits.enumerate() {
+    for (code, logit) in logits {
         if logit > best.0 {
             best = (logit, code);
         }
@@ -111,10 +112,17 @@ mod tests {
         Sampler::new(Sampling { temperature, top_k }, seed)
     }
 
+    /// Every code, with these logits.
+    fn all<const N: usize>(logits: [f32; N]) -> impl Iterator<Item = (u32, f32)> {
+        (0..).zip(logits)
+    }
+
     #[test]
     fn zero_temperature_takes_the_first_maximum() {
         let mut sampler = sampler(0.0, None, 1);
-        assert_eq!(sampler.next([0.5, 2.0, 2.0, -1.0].into_iter()), 1);
+        assert_eq!(sampler.next(all([0.5, 2.0, 2.0, -1.0])), 1);
+        let some = all([0.5, 2.0, 2.0, -1.0]).filter(|&(code, _)| code != 1);
+        assert_eq!(sampler.next(some), 2);
     }
 
     #[test]
@@ -123,7 +131,7 @@ mod tests {
         let mut sampler = sampler(0.5, None, 7);
         let mut counts = [0.0f64; 3];
         for _ in 0..20_000 {
-            counts[sampler.next(logits.into_iter())] += 1.0;
+            counts[sampler.next(all(logits)) as usize] += 1.0;
         }
         let weights = logits.map(|l| f64::from(l / 0.5).exp());
         let total: f64 = weights.iter().sum();
@@ -139,7 +147,7 @@ mod tests {
     fn top_k_never_leaves_the_most_likely() {
         let mut sampler = sampler(10.0, Some(2), 3);
         for _ in 0..500 {
-            assert!([1, 3].contains(&sampler.next([0.0, 5.0, 1.0, 4.0].into_iter())));
+            assert!([1, 3].contains(&sampler.next(all([0.0, 5.0, 1.0, 4.0]))));
         }
     }
 
@@ -149,7 +157,7 @@ mod tests {
         let draw = |stream: u64| {
             let mut sampler = seeded.stream(stream);
             (0..50)
-                .map(|_| sampler.next([0.1, 0.2, 0.3, 0.4].into_iter()))
+                .map(|_| sampler.next(all([0.1, 0.2, 0.3, 0.4])))
                 .collect::<Vec<_>>()
         };
         assert_eq!(draw(1), draw(1));
@@ -162,7 +170,7 @@ mod tests {
         let draw = |seed| {
             let mut sampler = sampler(1.0, None, seed);
             (0..50)
-                .map(|_| sampler.next([0.1, 0.2, 0.3, 0.4].into_iter()))
+                .map(|_| sampler.next(all([0.1, 0.2, 0.3, 0.4])))
                 .collect::<Vec<_>>()
         };
         assert_eq!(draw(5), draw(5));

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::SuppressedCodes;
 use crate::{
     features::{COLUMNS, HOP, Profile, Rate},
     motion::{MotionFrame, Skeleton},
@@ -48,6 +49,9 @@ pub struct Manifest {
     pub lower_joints: Vec<usize>,
     /// Pairs (upper, lower) to draw a start from; empty: any pair of the vocabulary.
     pub start_codes: Vec<[u32; 2]>,
+    /// Codes that are never drawn; absent: none.
+    #[serde(default, skip_serializing_if = "SuppressedCodes::is_empty")]
+    pub suppressed_codes: SuppressedCodes,
     /// Sampling defaults.
     pub sampling: SamplingDefaults,
     /// How weights are stored: they are computed with in float32 either way.
@@ -350,6 +354,8 @@ impl Manifest {
         if let Some([u, l]) = self.start_codes.iter().find(|pair| !fits(pair)) {
             return Err(format!("start codes {u}, {l} lie outside the vocabulary"));
         }
+        self.suppressed_codes
+            .validate(self.vocabulary, &self.start_codes)?;
         let SamplingDefaults {
             temperature,
             top_k,

@@ -8,6 +8,7 @@ mod manifest;
 mod memory;
 mod runtime;
 mod session;
+mod suppressed;
 mod vqvae;
 
 pub use directory::{ModelDirectory, file_sha256};
@@ -20,4 +21,5 @@ pub use manifest::{
 };
 pub use memory::GptMemory;
 pub use runtime::LIBRARY_VARIABLE;
+pub use suppressed::SuppressedCodes;
 pub use vqvae::{Decoder, Encoder};

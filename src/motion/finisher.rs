@@ -41,7 +41,7 @@ struct Lane<T> {
 
 impl Finisher {
     /// For pieces as they come: the floor of a frame is settled 2.5 s behind what is known, so that a
-    /// dance in pieces differs from the same as a whole by a centimetre or two of height at most.
+    /// dance in pieces differs from the same as a whole by a few centimetres of height at most.
     ///
     /// # Errors
     /// As [`super::finish`].

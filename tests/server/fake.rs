@@ -18,8 +18,8 @@ use bailando::{
     features::Profile,
     format::{Codes, Dance, MusicInfo, PositionsSource, Tail, Timings},
     model::{
-        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults, Vocabulary,
-        WeightStorage, WindowKind,
+        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
+        SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
     },
     motion::{Animation, FinishOptions, Finisher, MotionFrame, Positions, Skeleton},
     server::Generate,
@@ -270,6 +270,10 @@ fn manifest() -> Manifest {
         upper_joints: vec![1, 2],
         lower_joints: vec![0],
         start_codes: vec![[1, 2]],
+        suppressed_codes: SuppressedCodes {
+            upper: Vec::new(),
+            lower: vec![7],
+        },
         sampling: SamplingDefaults {
             temperature: 1.0,
             top_k: None,

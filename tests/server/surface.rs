@@ -169,6 +169,8 @@ async fn pose_codes_can_be_looked_at() {
         (&512.into(), &512.into())
     );
     assert_eq!(books["start_codes"][0], serde_json::json!([1, 2]));
+    let suppressed = serde_json::json!({"upper": [], "lower": [7]});
+    assert_eq!(books["suppressed_codes"], suppressed);
     let pose = get(&app, "/codes/3/511").await.json();
     assert_eq!((&pose["upper"], &pose["lower"]), (&3.into(), &511.into()));
     assert_eq!(pose["positions"].as_array().unwrap().len(), pose["frames"]);

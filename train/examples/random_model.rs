@@ -6,7 +6,11 @@
 use std::{collections::BTreeMap, path::Path};
 
 use anyhow::Context;
-use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
+use bailando::{
+    features::Profile,
+    model::{SuppressedCodes, WeightStorage},
+    motion::MotionFrame,
+};
 use bailando_train::{
     Tensor,
     export::{Description, PUBLISHED_HOP, write_model_directory},
@@ -45,6 +49,7 @@ fn main() -> anyhow::Result<()> {
         profile: Profile::Librosa011,
         count_periods: Vec::new(),
         start_codes: Vec::new(),
+        suppressed_codes: SuppressedCodes::default(),
         temperature: 1.0,
         guidance: 1.0,
         candidates: 1,

@@ -74,3 +74,23 @@ fn a_repeated_code_stands_still_and_another_one_moves() {
     assert!(still < 0.02, "a repeated code moves by {still} m");
     assert!(changing > 0.1, "a change of codes moves by {changing} m");
 }
+
+/// What a code repeated shows of the pelvis decides: the card says it is never lower than that.
+#[test]
+fn codes_of_a_pelvis_near_the_ground_are_suppressed_and_no_others() {
+    const LOWEST: f32 = 0.6;
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/default");
+    let directory = ModelDirectory::open(&folder).unwrap();
+    let mut decoder = directory.decoder(1).unwrap();
+    let mut is_low = |code: u32| {
+        let motion = decoder.decode(&[0; 9], &[code; 9], &CancelToken::new());
+        let motion = motion.unwrap();
+        let heights = (1..24).map(|joint| motion[[36, 3 * joint + 1]]);
+        // Heights are above the root's.
+        -heights.fold(0.0, f32::min) < LOWEST
+    };
+    let low: Vec<u32> = (0..256).filter(|&code| is_low(code)).collect();
+    let suppressed = &directory.manifest().suppressed_codes;
+    assert_eq!(suppressed.lower, low);
+    assert!(suppressed.upper.is_empty());
+}

@@ -20,6 +20,7 @@ use bailando_train::{
         Adaptation, Config, Dances, Limits, MotionFrame, MotionPiece, MotionSet, Outcome, Song,
         SongRows, Stage, TrainError, adapt, export, export_adapted, train, trained_weights,
     },
+    weights::GptWeights,
 };
 use common::swinging;
 use ndarray::Array2;
@@ -33,6 +34,7 @@ fn config(folder: &Path) -> Config {
     config.vqvae.training.steps = 20;
     config.velocity.training.steps = 10;
     config.gpt.training.steps = 20;
+    config.actor_critic.continued = 0.5;
     config
 }
 
@@ -170,6 +172,24 @@ fn resumes_exactly(whole: &Config, broken: &Config, set: &MotionSet) {
     without.actor_critic.enabled = false;
     let (_, plain, _) = trained_weights(&without).unwrap();
     assert_eq!(plain, policy);
+    keeps_a_share(whole, &plain, &learned);
+}
+
+/// What rewards changed is kept as far as asked, without learning anew.
+fn keeps_a_share(config: &Config, plain: &GptWeights, learned: &GptWeights) {
+    let kept = |share: f64| {
+        let mut config = config.clone();
+        config.actor_critic.kept = share;
+        let (_, weights, _) = trained_weights(&config).unwrap();
+        weights
+    };
+    assert_eq!(kept(0.0), *plain);
+    let head = |weights: &GptWeights| weights.upper_head.data().to_vec();
+    let ends = head(plain).into_iter().zip(head(learned));
+    for (found, (from, to)) in head(&kept(0.25)).into_iter().zip(ends) {
+        let (from, to) = (f64::from(from), f64::from(to));
+        assert_eq!(found, (from + 0.25 * (to - from)) as f32);
+    }
 }
 
 /// The state network stays bit for bit; everything of policy and critic has moved.

@@ -14,6 +14,7 @@ use utoipa::ToSchema;
 use crate::{
     engine::EngineError,
     format::{CodePoseJson, pose_json},
+    model::SuppressedCodes,
     server::{
         error::{ErrorBody, ServerError},
         state::SharedState,
@@ -39,6 +40,8 @@ pub(crate) struct Codebooks {
     lower_joints: Vec<usize>,
     /// Pairs (upper, lower) that dances start from; any pair where there are none.
     start_codes: Vec<[u32; 2]>,
+    /// Codes that are never drawn: what a dancer cannot do alone, say. They can be given all the same.
+    suppressed_codes: SuppressedCodes,
 }
 
 /// Describes the two codebooks.
@@ -76,6 +79,7 @@ pub(crate) async fn codebooks(
         upper_joints: manifest.upper_joints.clone(),
         lower_joints: manifest.lower_joints.clone(),
         start_codes: manifest.start_codes.clone(),
+        suppressed_codes: manifest.suppressed_codes.clone(),
     }))
 }
 

@@ -5,7 +5,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use bailando::{features::Profile, model::WeightStorage, motion::MotionFrame};
+use bailando::{
+    features::Profile,
+    model::{SuppressedCodes, WeightStorage},
+    motion::MotionFrame,
+};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use crate::{
@@ -459,6 +463,7 @@ impl From<ImportArguments> for ImportOptions {
                 },
                 count_periods: Vec::new(),
                 start_codes: Vec::new(),
+                suppressed_codes: SuppressedCodes::default(),
                 temperature: arguments.temperature,
                 guidance: 1.0,
                 candidates: 1,

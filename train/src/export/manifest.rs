@@ -58,6 +58,7 @@ pub(super) fn manifest(
         upper_joints: upper_joints.to_vec(),
         lower_joints: lower_joints.to_vec(),
         start_codes: description.start_codes.clone(),
+        suppressed_codes: description.suppressed_codes.clone(),
         sampling: SamplingDefaults {
             temperature: description.temperature,
             top_k: None,

@@ -13,7 +13,7 @@ use std::{collections::BTreeMap, path::Path};
 
 use bailando::{
     features::Profile,
-    model::{Manifest, ModelDirectory, WeightStorage},
+    model::{Manifest, ModelDirectory, SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
 
@@ -39,6 +39,8 @@ pub struct Description {
     pub count_periods: Vec<u32>,
     /// Pairs (upper, lower) to draw a start from; empty: any pair.
     pub start_codes: Vec<[u32; 2]>,
+    /// Codes that are never drawn.
+    pub suppressed_codes: SuppressedCodes,
     /// Default temperature; 0 takes the most likely code.
     pub temperature: f32,
     /// Default guidance by the music's time; 1 is none.

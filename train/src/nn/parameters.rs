@@ -43,6 +43,21 @@ impl Store {
         names(self) == names(other)
     }
 
+    /// Values that lie a share of the way to those of another store with the same names and shapes.
+    #[must_use]
+    pub fn towards(&self, other: &Self, share: f64) -> Self {
+        let between = |(from, to): (&f32, &f32)| {
+            let (from, to) = (f64::from(*from), f64::from(*to));
+            (from + share * (to - from)) as f32
+        };
+        let pairs = self.entries.iter().zip(&other.entries);
+        let values = pairs.map(|((_, from), (_, to))| {
+            let values = from.data().iter().zip(to.data());
+            values.map(between).collect()
+        });
+        self.with_values(values.collect())
+    }
+
     /// The same names and shapes with other values.
     #[must_use]
     pub fn with_values(&self, values: Vec<Vec<f32>>) -> Self {

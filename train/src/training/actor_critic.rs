@@ -107,10 +107,11 @@ impl ActorCriticConfig {
         }
     }
 
-    /// What the result depends on.
+    /// What the result depends on: how much of it is kept is asked afterwards.
     pub(super) fn settings(&self) -> String {
         let settings = Self {
             enabled: true,
+            kept: 1.0,
             ..self.clone()
         };
         format!("{settings:?}")
@@ -177,15 +178,15 @@ impl<'a, A: Trainable> ActorCriticWork<'a, A> {
     fn rollout(&mut self, frozen: &Parameters<A::InnerBackend>, epoch: u64) -> Rollout {
         match self.rollout.take() {
             Some(rollout) if rollout.epoch == epoch => rollout,
-            _ => {
+            earlier => {
                 let sampler = Sampler {
                     net: &self.policy.net,
                     parameters: frozen,
                     temperature: self.stage.temperature,
                 };
-                let starts = &self.policy.starts;
+                let (starts, earlier) = (&self.policy.starts, earlier.as_ref());
                 self.repertoire
-                    .roll_out(epoch, &sampler, starts, self.batch, &self.judge)
+                    .roll_out(epoch, &sampler, starts, earlier, self.batch, &self.judge)
             }
         }
     }
@@ -314,6 +315,7 @@ fn repertoire(
             codes => codes,
         },
         takes: stage.takes,
+        continued: stage.continued,
         block: config.gpt.block,
         seed: config.run.seed,
     };

@@ -80,9 +80,14 @@ pub fn adapt(
         ..config.actor_critic.clone()
     };
     let base = fingerprint(config, Policy::latest_stage(config)?)?;
+    let kept = config.actor_critic.kept;
     let task = Task {
         name: STAGE,
-        settings: format!("seed {} {} on {base}", config.run.seed, stage.settings()),
+        settings: format!(
+            "seed {} {} on {kept} of {base}",
+            config.run.seed,
+            stage.settings()
+        ),
         run: &run,
         stage: &stage,
         policy: Policy::latest(config)?,

@@ -39,6 +39,14 @@ impl<B: Kernels> DanceDecoder<B> {
         })
     }
 
+    /// Numbers of upper and lower codes.
+    pub(super) fn codes(&self) -> [usize; 2] {
+        self.trained.codebooks.each_ref().map(|codebook| {
+            let [codes, _] = codebook.entries().dims();
+            codes
+        })
+    }
+
     /// World positions of a whole piece from its upper and lower codes, 8 frames a code; none where
     /// a decoder gives what is no number.
     pub(super) fn positions(&self, codes: &[Vec<i32>; 2]) -> Option<Positions> {
@@ -90,13 +98,13 @@ impl<B: Kernels> DanceDecoder<B> {
             let (decoder, parameters) =
                 learned_on.unwrap_or((&net.decoder, &self.trained.parameters));
             let decoded = decoder.forward(parameters, embedded[half].clone());
-            fill(&mut columns, &values(&decoded), places);
+            fill(&mut columns, frames, &values(&decoded), places);
         }
         if let Some((decoders, parameters)) = &self.later {
             let [_, lower] = embedded;
             let decoded = decoders.root.forward(parameters, lower);
             let places: Vec<_> = self.root_columns.iter().copied().map(Some).collect();
-            fill(&mut columns, &values(&decoded), &places);
+            fill(&mut columns, frames, &values(&decoded), &places);
         }
         let placed = |piece: ArrayView2<'_, f32>| {
             if turning == 0 {
@@ -124,14 +132,21 @@ impl<B: Kernels> DanceDecoder<B> {
     }
 }
 
-/// Puts decoded columns where they belong.
-fn fill(columns: &mut Array2<f32>, decoded: &[f32], places: &[Option<usize>]) {
-    let rows = decoded.chunks(places.len());
-    for (mut row, decoded) in columns.outer_iter_mut().zip(rows) {
-        for (place, &value) in places.iter().zip(decoded) {
-            if let Some(column) = *place {
-                row[column] = value;
+/// Puts decoded columns where they belong, in pieces of `frames` rows.
+fn fill(columns: &mut Array2<f32>, frames: usize, decoded: &[f32], places: &[Option<usize>]) {
+    let pieces: Vec<_> = columns
+        .axis_chunks_iter_mut(Axis(0), frames.max(1))
+        .collect();
+    let decoded = decoded.par_chunks((frames * places.len()).max(1));
+    let filled = pieces.into_par_iter().zip(decoded);
+    filled.for_each(|(mut piece, decoded)| {
+        let rows = decoded.chunks(places.len());
+        for (mut row, decoded) in piece.outer_iter_mut().zip(rows) {
+            for (place, &value) in places.iter().zip(decoded) {
+                if let Some(column) = *place {
+                    row[column] = value;
+                }
             }
         }
-    }
+    });
 }

@@ -98,20 +98,28 @@ fn on_device<J: Job>(name: &str, job: J) -> Result<J::Done, TrainError> {
         "cuda" => guarded(name, || {
             job.run_on::<Autodiff<burn_cuda::Cuda>>(&Default::default())
         }),
+        #[cfg(feature = "libtorch")]
+        "libtorch" => guarded(name, || {
+            let device = match tch::Cuda::is_available() {
+                true => burn_tch::LibTorchDevice::Cuda(0),
+                false => burn_tch::LibTorchDevice::Cpu,
+            };
+            job.run_on::<Autodiff<burn_tch::LibTorch>>(&device)
+        }),
         #[cfg(feature = "wgpu")]
         "wgpu" => guarded(name, || {
             job.run_on::<Autodiff<burn_wgpu::Wgpu>>(&Default::default())
         }),
-        #[allow(unreachable_patterns, reason = "a build may have either")]
-        "cuda" | "wgpu" => Err(unknown(&format!(
+        #[allow(unreachable_patterns, reason = "a build may have any")]
+        "cuda" | "libtorch" | "wgpu" => Err(unknown(&format!(
             "not in this build: cargo build --release -p bailando-train --features {name}"
         ))),
-        _ => Err(unknown("expected cpu, cuda or wgpu")),
+        _ => Err(unknown("expected cpu, cuda, libtorch or wgpu")),
     }
 }
 
 /// An accelerator's library panics where there is no driver: that is an error like any other.
-#[cfg(any(feature = "cuda", feature = "wgpu"))]
+#[cfg(any(feature = "cuda", feature = "libtorch", feature = "wgpu"))]
 fn guarded<T>(device: &str, job: impl FnOnce() -> Result<T, TrainError>) -> Result<T, TrainError> {
     let run = std::panic::AssertUnwindSafe(job);
     std::panic::catch_unwind(run).unwrap_or_else(|panic| {

@@ -2,21 +2,22 @@
 
 use std::path::Path;
 
-use bailando::model::{Manifest, ModelDirectory, SamplingDefaults};
+use bailando::model::{Manifest, ModelDirectory, SamplingDefaults, SuppressedCodes};
 use burn_flex::{Flex, FlexDevice};
 use serde_json::Value;
 
 use super::{
-    Config, Stage, TrainError, keep::fingerprint, policy::Policy, velocity::Decoders,
-    vqvae::Trained,
+    Config, Stage, TrainError, keep::fingerprint, policy::Policy, suppress::suppressed_codes,
+    velocity::Decoders, vqvae::Trained,
 };
 use crate::{
     export::{Description, ExportError, write_model_directory},
     weights::{GptWeights, HalfWeights, VqVaeWeights},
 };
 
-/// Entry of the manifest's `training`.
+/// Entries of the manifest's `training`.
 const CHECKPOINTS: &str = "checkpoints";
+const SETTINGS: &str = "settings";
 
 /// Writes the model directory of a finished run.
 ///
@@ -45,15 +46,17 @@ pub(super) fn write<const N: usize>(
         ("seed", config.run.seed.into()),
         ("data", config.data.folder.display().to_string().into()),
         (CHECKPOINTS, checkpoints(config)?),
-        ("settings", settings(config)?),
+        (SETTINGS, settings(config)?),
     ];
     let training = training.into_iter().chain(facts);
+    let suppressed_codes = suppressed_codes(config)?;
     let description = Description {
         name: config.export.name.clone(),
         licence: config.export.licence.clone(),
         profile: config.data.profile,
         count_periods: config.data.count_periods.clone(),
-        start_codes: policy.starts.clone(),
+        start_codes: allowed_starts(&policy.starts, &suppressed_codes),
+        suppressed_codes,
         temperature: config.export.temperature,
         guidance: config.export.guidance,
         candidates: config.export.candidates,
@@ -73,6 +76,14 @@ pub(super) fn write<const N: usize>(
         &vqvae_weights(config)?,
         &description,
     )?)
+}
+
+/// Starts without codes that are never drawn.
+fn allowed_starts(starts: &[[u32; 2]], suppressed: &SuppressedCodes) -> Vec<[u32; 2]> {
+    let allowed = |&&[upper, lower]: &&[u32; 2]| {
+        !suppressed.upper.contains(&upper) && !suppressed.lower.contains(&lower)
+    };
+    starts.iter().filter(allowed).copied().collect()
 }
 
 /// What the weights were trained with.
@@ -117,9 +128,11 @@ pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
     let described = (&manifest.name, &manifest.licence, manifest.weights)
         == (&asked.name, &asked.licence, asked.weights)
         && manifest.sampling == sampling
-        && manifest.skeleton.root_height == asked.root_height;
-    let made_of = manifest.training.get(CHECKPOINTS);
-    Ok(described && made_of == Some(&checkpoints(config)?))
+        && manifest.skeleton.root_height == asked.root_height
+        && manifest.suppressed_codes == suppressed_codes(config)?;
+    let of = |entry: &str| manifest.training.get(entry);
+    let made_of = of(CHECKPOINTS) == Some(&checkpoints(config)?);
+    Ok(described && made_of && of(SETTINGS) == Some(&settings(config)?))
 }
 
 /// The weights of a finished run, and the pairs of codes that its training pieces begin with.

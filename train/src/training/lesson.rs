@@ -171,6 +171,7 @@ mod tests {
             pieces: 1,
             codes: 6,
             takes: 1,
+            continued: 0.0,
             block: BLOCK,
             seed: 1,
         };

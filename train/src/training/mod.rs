@@ -35,6 +35,7 @@ mod song;
 mod songs;
 mod stage;
 mod state;
+mod suppress;
 #[cfg(test)]
 mod tests;
 mod velocity;

@@ -46,9 +46,19 @@ impl Policy {
         Ok(Stage::Gpt)
     }
 
-    /// That of [`Policy::latest_stage`].
+    /// That of [`Policy::latest_stage`]; of what rewards changed, as much as `actor_critic.kept` says.
     pub(super) fn latest(config: &Config) -> Result<Self, TrainError> {
-        Self::of_stage(config, Self::latest_stage(config)?)
+        let stage = Self::latest_stage(config)?;
+        let latest = Self::of_stage(config, stage)?;
+        let kept = config.actor_critic.kept;
+        if stage != Stage::ActorCritic || kept == 1.0 {
+            return Ok(latest);
+        }
+        let before = Self::of_stage(config, Stage::Gpt)?;
+        Ok(Self {
+            store: before.store.towards(&latest.store, kept),
+            ..latest
+        })
     }
 
     /// That of a stage in a folder beside the run.

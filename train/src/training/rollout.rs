@@ -20,6 +20,7 @@ use crate::{Tensor, nn::Kernels};
 const EXCERPTS: u64 = 0x6578_6370;
 const PIECES: u64 = 0x7069_6563;
 const ORDER: u64 = 0x6f72_6465;
+const CONTINUED: u64 = 0x636f_6e74;
 /// Names in checkpoints.
 const EPOCH: &str = "rollout.epoch";
 const CODES: &str = "rollout.codes";
@@ -36,6 +37,8 @@ pub(super) struct Repertoire {
     pub(super) codes: usize,
     /// Pieces that are danced to each excerpt, from the same start.
     pub(super) takes: usize,
+    /// Share of pieces that go on from the last codes of an earlier epoch's.
+    pub(super) continued: f64,
     /// States of a window.
     pub(super) block: usize,
     pub(super) seed: u64,
@@ -120,23 +123,36 @@ impl Repertoire {
             .unwrap_or_default()
     }
 
-    /// Generates and judges the pieces of an epoch, `batch` at a time; a start is one of `starts`.
+    /// The codes to go on from, of those that earlier pieces ended with; none where the piece starts anew.
+    fn continued_from(&self, epoch: u64, piece: usize, ends: &[[i32; 2]]) -> Option<[i32; 2]> {
+        let mut random = generator(self.seed ^ CONTINUED, epoch << 32 | piece as u64);
+        let goes_on = unit(&mut random) < self.continued;
+        let end = (unit(&mut random) * ends.len() as f64) as usize;
+        ends.get(end).copied().filter(|_| goes_on)
+    }
+
+    /// Generates and judges the pieces of an epoch, `batch` at a time; a start is one of `starts`, or what an
+    /// `earlier` epoch's piece ended with.
     pub(super) fn roll_out<B: Kernels>(
         &self,
         epoch: u64,
         sampler: &Sampler<'_, B>,
         starts: &[[u32; 2]],
+        earlier: Option<&Rollout>,
         batch: usize,
         judge: &Judge,
     ) -> Rollout {
         let excerpts = self.excerpts(epoch);
         let takes = self.takes;
+        let ends = earlier.map(Rollout::ends).unwrap_or_default();
         let wishes = excerpts.iter().enumerate().map(|(piece, &excerpt)| {
             let random = |piece: usize| generator(self.seed ^ PIECES, epoch << 32 | piece as u64);
             // All takes start as the first does.
             let first = piece / takes * takes;
+            let anew = || Wish::new(self.music(excerpt), starts, random(first)).start;
+            let start = self.continued_from(epoch, first, &ends);
             Wish {
-                start: Wish::new(self.music(excerpt), starts, random(first)).start,
+                start: start.unwrap_or_else(anew),
                 ..Wish::new(self.music(excerpt), starts, random(piece))
             }
         });
@@ -213,6 +229,15 @@ impl Repertoire {
 }
 
 impl Rollout {
+    /// Upper and lower code that each piece ended with.
+    fn ends(&self) -> Vec<[i32; 2]> {
+        let ends = self.episodes.iter().filter_map(|episode| {
+            let [upper, lower] = &episode.codes;
+            Some([*upper.last()?, *lower.last()?])
+        });
+        ends.collect()
+    }
+
     /// The windows of the epoch's `step`-th batch: a piece and the first code each. They start over
     /// where an epoch has a few steps more than windows.
     pub(super) fn batch(&self, step: u64, size: usize) -> Vec<(usize, usize)> {
@@ -326,6 +351,7 @@ mod tests {
             pieces: 5,
             codes: 16,
             takes: 1,
+            continued: 0.0,
             block: 6,
             seed: 3,
         };
@@ -352,6 +378,28 @@ mod tests {
         compare(&mut takes);
         assert_eq!(takes[0].rewards, [[-1.0, 0.0, -2.0], [5.0, 0.0, 10.0]]);
         assert_eq!(takes[1].rewards, [[1.0, 0.0, 2.0], [-5.0, 0.0, -10.0]]);
+    }
+
+    #[test]
+    fn pieces_go_on_from_earlier_ends_as_often_as_asked() {
+        let share = |continued: f64, ends: &[[i32; 2]]| {
+            let repertoire = Repertoire {
+                continued,
+                ..repertoire()
+            };
+            let found = (0..1000).filter_map(|piece| repertoire.continued_from(2, piece, ends));
+            let found: Vec<_> = found.collect();
+            assert!(found.iter().all(|end| ends.contains(end)));
+            let distinct: std::collections::HashSet<_> = found.iter().collect();
+            (found.len(), distinct.len())
+        };
+        let ends = [[1, 2], [3, 4], [5, 6]];
+        assert_eq!(share(0.0, &ends), (0, 0));
+        assert_eq!(share(1.0, &ends), (1000, 3));
+        assert_eq!(share(1.0, &[]), (0, 0));
+        let (found, distinct) = share(0.8, &ends);
+        assert!((760..840).contains(&found) && distinct == 3, "{found}");
+        assert_eq!(rollout(3).ends()[2], [2, 4]);
     }
 
     fn rollout(epoch: u64) -> Rollout {

@@ -9,7 +9,7 @@ use std::{
 
 use bailando::{
     features::Profile,
-    model::{ModelDirectory, WeightStorage},
+    model::{ModelDirectory, SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
 use bailando_train::{
@@ -63,6 +63,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             profile: Profile::Librosa081,
             count_periods: Vec::new(),
             start_codes: Vec::new(),
+            suppressed_codes: SuppressedCodes::default(),
             temperature: 0.0,
             guidance: 1.0,
             candidates: 1,

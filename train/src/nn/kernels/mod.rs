@@ -175,5 +175,8 @@ impl<A: AutodiffBackend<InnerBackend: Kernels> + Kernels> Trainable for A {}
 #[cfg(feature = "cuda")]
 impl Kernels for burn_cuda::Cuda {}
 
+#[cfg(feature = "libtorch")]
+impl Kernels for burn_tch::LibTorch {}
+
 #[cfg(feature = "wgpu")]
 impl Kernels for burn_wgpu::Wgpu {}

@@ -20,6 +20,7 @@ pub struct ExportConfig {
     pub candidates: usize,
     pub redo: bool,
     pub hop: usize,
+    pub lowest_pelvis: f32,
     pub weights: WeightStorage,
 }
 
@@ -38,6 +39,10 @@ impl ExportConfig {
         let height = self.root_height;
         if !(height > 0.0 && height.is_finite()) {
             return Err(format!("root_height ({height}) must be above 0"));
+        }
+        let lowest = self.lowest_pelvis;
+        if !(lowest >= 0.0 && lowest.is_finite()) {
+            return Err(format!("lowest_pelvis ({lowest}) must be 0 or more"));
         }
         if !(1..=MAX_CANDIDATES).contains(&self.candidates) {
             let candidates = self.candidates;

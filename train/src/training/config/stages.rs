@@ -189,11 +189,13 @@ pub struct ActorCriticConfig {
     pub temperature: f64,
     pub pieces_per_epoch: usize,
     pub takes: usize,
+    pub continued: f64,
     pub codes: usize,
     pub actor_steps: u64,
     pub critic_steps: u64,
     pub critic_warmup_steps: u64,
     pub critic_rate_factor: f64,
+    pub kept: f64,
     pub training: TrainingConfig,
 }
 
@@ -203,6 +205,11 @@ impl ActorCriticConfig {
             return Err("actor_steps must be at least 1".into());
         }
         at_least_one([("critic_layers", self.critic_layers), ("takes", self.takes)])?;
+        for (name, share) in [("continued", self.continued), ("kept", self.kept)] {
+            if !(0.0..=1.0).contains(&share) {
+                return Err(format!("{name} ({share}) must lie in 0..=1"));
+            }
+        }
         not_negative([
             ("beat_weight", self.beat_weight),
             ("consistency_weight", self.consistency_weight),
