@@ -75,7 +75,7 @@ fn a_repeated_code_stands_still_and_another_one_moves() {
     assert!(changing > 0.1, "a change of codes moves by {changing} m");
 }
 
-/// What a code repeated shows of the pelvis decides: the card says it is never lower than that.
+/// `export.lowest_pelvis` of `presets/default.toml`: what a code repeated shows of the pelvis decides.
 #[test]
 fn codes_of_a_pelvis_near_the_ground_are_suppressed_and_no_others() {
     const LOWEST: f32 = 0.6;

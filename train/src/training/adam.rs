@@ -34,12 +34,13 @@ impl<B: Kernels> Adam<B> {
     ) {
         let count = i32::try_from(step + 1).unwrap_or(i32::MAX);
         let moments = self.first.iter_mut().zip(&mut self.second);
+        let corrections = self.betas.map(|beta| 1.0 - beta.powi(count));
         let tensors = tensors.iter_mut().zip(rates).zip(gradients);
         for (((tensor, &rate), gradient), (first, second)) in tensors.zip(moments) {
             let Some(gradient) = gradient else { continue };
             let step = Descent {
                 betas: self.betas,
-                corrections: self.betas.map(|beta| 1.0 - beta.powi(count)),
+                corrections,
                 rate,
                 epsilon: EPSILON,
             };

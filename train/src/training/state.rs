@@ -30,7 +30,7 @@ pub(super) struct Best {
 
 pub(super) struct State<A: Trainable> {
     parameters: Parameters<A::InnerBackend>,
-    /// Which of them learn.
+    /// How fast each of them learns, in units of the stage's rate.
     rate_factors: Vec<f64>,
     adam: Adam<A::InnerBackend>,
     pub(super) step: u64,
