@@ -1,4 +1,16 @@
-//! Numbers that both resamplers are made of.
+//! What resampling and features are both made of.
+
+/// Does `work` with the widest vector instructions that this machine has.
+///
+/// What is inlined into `work` is compiled once more for them, and they are looked for when the program runs. The
+/// results are the same bit for bit: sums keep their order, and products are rounded before they are added.
+#[inline(always)]
+pub(crate) fn vectorised<T>(work: impl FnOnce() -> T) -> T {
+    pulp::Arch::new().dispatch(work)
+}
+
+/// Products that [`dot`] sums side by side.
+pub(crate) const LANES: usize = 32;
 
 /// Modified Bessel function of the first kind and order zero, by its power series.
 pub(crate) fn bessel_i0(x: f64) -> f64 {
@@ -14,7 +26,14 @@ pub(crate) fn bessel_i0(x: f64) -> f64 {
 
 /// Sum of products over the shorter length, in independent lanes so that it vectorises.
 pub(crate) fn dot(a: &[f32], b: &[f32]) -> f32 {
-    const LANES: usize = 16;
+    vectorised(
+        #[inline(always)]
+        || dot_inlined(a, b),
+    )
+}
+
+#[inline(always)]
+fn dot_inlined(a: &[f32], b: &[f32]) -> f32 {
     let length = a.len().min(b.len());
     let (a_lanes, a_rest) = a[..length].as_chunks::<LANES>();
     let (b_lanes, b_rest) = b[..length].as_chunks::<LANES>();

@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use crate::dsp::{bessel_i0, dot};
+use crate::dsp::{LANES, bessel_i0, dot};
 
 /// Cut-off relative to the lower Nyquist frequency: flat to 0.913 of it, -120 dB from 1.0.
 const CUTOFF: f64 = 0.95685;
@@ -17,8 +17,6 @@ const DROOP: f64 = 6.12e-4;
 const DROOPING: (f64, f64, f64) = (0.8, 12.0, 5.0);
 /// Largest exact table in coefficients (4 MiB); above it phases are interpolated.
 pub(super) const MAX_TABLE: usize = 1 << 20;
-/// The number of taps is a multiple of this, which the inner product takes at once.
-const LANES: usize = 16;
 
 /// Ratio of the rates below which soxr's filter is the longer one.
 const STRONG_DECIMATION: f64 = 0.25;
@@ -71,6 +69,7 @@ impl Kernel {
         let ratio = to as f64 / from as f64;
         let shape = Shape::new(ratio);
         let reach = (shape.half / shape.scale).ceil() as usize;
+        // The inner product then takes all taps in whole lanes.
         let reach = reach.next_multiple_of(LANES / 2);
         let exact = usize::try_from(to).is_ok_and(|to| to.saturating_mul(2 * reach) <= MAX_TABLE);
         // A linear step between rows errs by (pi * bandwidth / rows)^2 / 2 at most, below 5e-6.

@@ -3,20 +3,27 @@
 //! One pass over the song: only the frames under the median along time are held, and what is rebuilt takes the place of samples that
 //! no frame needs any more.
 
+use std::ops::Range;
+
 use rustfft::num_complex::Complex;
 
 use super::{
     HOP,
     istft::{FrameOf, OverlapAdd},
-    median::{SlidingMedian, WINDOW},
+    median::{LANES, SlidingMedians, WINDOW},
     padding::{Padding, mirror_between_samples},
     row_count,
     stft::{BINS, Stft, magnitudes},
 };
+use crate::dsp::vectorised;
 
 const HALF_WINDOW: usize = WINDOW / 2;
 // The window of one frame and the frame that has just left it.
 const HELD_FRAMES: usize = WINDOW + 1;
+/// Bins that each of the windows along frequency slides over.
+const SEGMENT: usize = BINS.div_ceil(LANES);
+/// Bins of all of them; what is beyond [`BINS`] is nobody's.
+const WHOLE_LANES: usize = SEGMENT * LANES;
 
 /// Splits a signal; both parts add up to it.
 pub(super) struct Separator {
@@ -24,8 +31,10 @@ pub(super) struct Separator {
     silent_tail: bool,
     held_spectra: Vec<Complex<f32>>,
     held_magnitudes: Vec<f32>,
-    along_time: Vec<SlidingMedian>,
-    along_frequency: SlidingMedian,
+    along_time: SlidingMedians,
+    /// A frame as the median along frequency sees it, both ends mirrored.
+    mirrored: Vec<f32>,
+    along_frequency: SlidingMedians,
     percussive_median: Vec<f32>,
     masked: Vec<Complex<f32>>,
     harmonic: OverlapAdd,
@@ -39,10 +48,11 @@ impl Separator {
             stft: Stft::hann(padding),
             silent_tail,
             held_spectra: vec![Complex::default(); HELD_FRAMES * BINS],
-            held_magnitudes: vec![0.0; HELD_FRAMES * BINS],
-            along_time: vec![SlidingMedian::new(); BINS],
-            along_frequency: SlidingMedian::new(),
-            percussive_median: vec![0.0; BINS],
+            held_magnitudes: vec![0.0; HELD_FRAMES * WHOLE_LANES],
+            along_time: SlidingMedians::new(WHOLE_LANES),
+            mirrored: vec![0.0; HALF_WINDOW + WHOLE_LANES + HALF_WINDOW],
+            along_frequency: SlidingMedians::new(LANES),
+            percussive_median: vec![0.0; WHOLE_LANES],
             masked: vec![Complex::default(); BINS],
             harmonic: OverlapAdd::new(),
             percussive: OverlapAdd::new(),
@@ -95,66 +105,92 @@ impl Separator {
     }
 
     fn analyse(&mut self, pcm: &[f32], frame: usize) {
-        let held = held_range(frame);
-        let spectrum = &mut self.held_spectra[held.clone()];
+        let spectrum = &mut self.held_spectra[spectrum_range(frame)];
         self.stft.frame(pcm, frame * HOP, spectrum);
-        magnitudes(spectrum, &mut self.held_magnitudes[held]);
+        let held = &mut self.held_magnitudes[magnitudes_range(frame)];
+        magnitudes(spectrum, &mut held[..BINS]);
     }
 
     fn magnitudes_of(&self, frame: usize) -> &[f32] {
-        &self.held_magnitudes[held_range(frame)]
+        &self.held_magnitudes[magnitudes_range(frame)][..BINS]
     }
 
     fn slide_along_time(&mut self, frame: usize, frames: usize) {
-        let held = |index: isize| held_range(mirror_between_samples(index, frames)).start;
+        let magnitudes = |index: isize| {
+            let frame = mirror_between_samples(index, frames);
+            &self.held_magnitudes[magnitudes_range(frame)]
+        };
         let (frame, half) = (frame as isize, HALF_WINDOW as isize);
         if frame == 0 {
-            for (bin, window) in self.along_time.iter_mut().enumerate() {
-                window.fill((-half..=half).map(|index| self.held_magnitudes[held(index) + bin]));
-            }
-            return;
-        }
-        let (leaving, entering) = (held(frame - half - 1), held(frame + half));
-        for (bin, window) in self.along_time.iter_mut().enumerate() {
-            window.exchange(
-                self.held_magnitudes[leaving + bin],
-                self.held_magnitudes[entering + bin],
-            );
+            self.along_time
+                .fill(|index| magnitudes(index as isize - half));
+        } else {
+            self.along_time
+                .exchange(magnitudes(frame - half - 1), magnitudes(frame + half));
         }
     }
 
+    /// The windows begin a segment apart and slide over one each.
     fn slide_along_frequency(&mut self, frame: usize) {
-        let row = &self.held_magnitudes[held_range(frame)];
-        let at = |index: isize| row[mirror_between_samples(index, BINS)];
-        let half = HALF_WINDOW as isize;
-        self.along_frequency.fill((-half..=half).map(at));
-        for (bin, median) in (0_isize..).zip(&mut self.percussive_median) {
-            if bin > 0 {
+        self.mirror(frame);
+        let mirrored = &self.mirrored;
+        let lanes = |index: usize| -> [f32; LANES] {
+            std::array::from_fn(|lane| mirrored[lane * SEGMENT + index])
+        };
+        self.along_frequency.fill(lanes);
+        for step in 0..SEGMENT {
+            if step > 0 {
                 self.along_frequency
-                    .exchange(at(bin - half - 1), at(bin + half));
+                    .exchange(&lanes(step - 1), &lanes(step + WINDOW - 1));
             }
-            *median = self.along_frequency.median();
+            for (lane, &median) in self.along_frequency.medians().iter().enumerate() {
+                self.percussive_median[lane * SEGMENT + step] = median;
+            }
+        }
+    }
+
+    fn mirror(&mut self, frame: usize) {
+        let row = &self.held_magnitudes[magnitudes_range(frame)];
+        let (before, rest) = self.mirrored.split_at_mut(HALF_WINDOW);
+        let (inside, after) = rest.split_at_mut(BINS);
+        inside.copy_from_slice(&row[..BINS]);
+        for (value, bin) in before.iter_mut().rev().zip(1_isize..) {
+            *value = row[mirror_between_samples(-bin, BINS)];
+        }
+        for (value, bin) in after.iter_mut().zip(BINS as isize..) {
+            *value = row[mirror_between_samples(bin, BINS)];
         }
     }
 
     fn mask(&mut self, frame: usize, mask: impl Fn(f32, f32) -> f32) {
-        let spectrum = &self.held_spectra[held_range(frame)];
-        for (((masked, &bin), along_time), &percussive) in self
-            .masked
-            .iter_mut()
-            .zip(spectrum)
-            .zip(&self.along_time)
-            .zip(&self.percussive_median)
-        {
-            *masked = bin * mask(along_time.median(), percussive);
-        }
+        let spectrum = &self.held_spectra[spectrum_range(frame)];
+        vectorised(
+            #[inline(always)]
+            || {
+                for (((masked, &bin), &harmonic), &percussive) in self
+                    .masked
+                    .iter_mut()
+                    .zip(spectrum)
+                    .zip(self.along_time.medians())
+                    .zip(&self.percussive_median)
+                {
+                    *masked = bin * mask(harmonic, percussive);
+                }
+            },
+        );
     }
 }
 
-/// Where the frame lies in the ring of held frames.
-fn held_range(frame: usize) -> std::ops::Range<usize> {
+/// Where a frame's spectrum lies in the ring of held frames.
+fn spectrum_range(frame: usize) -> Range<usize> {
     let start = (frame % HELD_FRAMES) * BINS;
     start..start + BINS
+}
+
+/// Where its magnitudes lie in theirs.
+fn magnitudes_range(frame: usize) -> Range<usize> {
+    let start = (frame % HELD_FRAMES) * WHOLE_LANES;
+    start..start + WHOLE_LANES
 }
 
 /// Share of `part` against `other`, by power; half each where there is nothing.
@@ -237,7 +273,7 @@ mod tests {
                         .map(|d| rows[mirror_between_samples(frame as isize + d, frames)][bin])
                         .collect();
                     assert_eq!(
-                        separator.along_time[bin].median(),
+                        separator.along_time.medians()[bin],
                         sorted_median(along_time)
                     );
                     let along_frequency = window

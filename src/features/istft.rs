@@ -1,5 +1,7 @@
 //! Inverse transform of a stream of frames by overlap-add (FEATURES section 4).
 
+use std::ops::Range;
+
 use rustfft::num_complex::Complex;
 
 use super::{
@@ -14,6 +16,8 @@ const OVERLAP: usize = FRAME / HOP;
 pub(super) struct OverlapAdd {
     inverse: InverseFft,
     window: Vec<f64>,
+    /// Sum of the squared windows where all frames overlap, one hop long.
+    squares: Vec<f64>,
     // The last FRAME samples that later frames still add to.
     pending: Vec<f64>,
 }
@@ -27,9 +31,13 @@ pub(super) struct FrameOf {
 
 impl OverlapAdd {
     pub(super) fn new() -> Self {
+        let window = hann_periodic(FRAME);
         Self {
             inverse: InverseFft::new(FRAME),
-            window: hann_periodic(FRAME),
+            squares: (0..HOP)
+                .map(|offset| squared_sum(&window, offset, 0..OVERLAP))
+                .collect(),
+            window,
             pending: vec![0.0; FRAME],
         }
     }
@@ -56,32 +64,37 @@ impl OverlapAdd {
 
     /// Writes the first hop of what is pending, which is segment `segment` of the padded signal.
     fn emit(&mut self, segment: usize, frames: usize, signal: &mut [f32]) {
-        for offset in 0..HOP {
-            // The first FRAME / 2 samples are padding.
-            let Some(position) = (segment * HOP + offset).checked_sub(FRAME / 2) else {
-                continue;
-            };
-            let Some(output) = signal.get_mut(position) else {
-                break;
-            };
-            let weight = self.squared_window_sum(segment, offset, frames);
-            let sum = self.pending[offset];
-            *output = if weight > f64::from(f32::MIN_POSITIVE) {
-                (sum / weight) as f32
-            } else {
-                sum as f32
-            };
+        // The first FRAME / 2 samples are padding.
+        let position = (segment * HOP).checked_sub(FRAME / 2);
+        let output = position.and_then(|position| signal.get_mut(position..));
+        let output = output.unwrap_or_default().iter_mut();
+        let sums = &self.pending[..HOP];
+        if segment + 1 >= OVERLAP && segment < frames {
+            for ((output, sum), weight) in output.zip(sums).zip(&self.squares) {
+                *output = (sum / weight) as f32;
+            }
+        } else {
+            let first = (segment + 1).saturating_sub(frames);
+            let quarters = first..OVERLAP.min(segment + 1);
+            for (offset, (output, &sum)) in output.zip(sums).enumerate() {
+                let weight = squared_sum(&self.window, offset, quarters.clone());
+                *output = if weight > f64::from(f32::MIN_POSITIVE) {
+                    (sum / weight) as f32
+                } else {
+                    sum as f32
+                };
+            }
         }
         self.pending.copy_within(HOP.., 0);
         self.pending[FRAME - HOP..].fill(0.0);
     }
+}
 
-    fn squared_window_sum(&self, segment: usize, offset: usize, frames: usize) -> f64 {
-        (0..OVERLAP)
-            .filter(|&quarter| segment >= quarter && segment - quarter < frames)
-            .map(|quarter| self.window[quarter * HOP + offset].powi(2))
-            .sum()
-    }
+/// Sum of the squared windows of the frames that are `quarters` hops into themselves, `offset` samples on.
+fn squared_sum(window: &[f64], offset: usize, quarters: Range<usize>) -> f64 {
+    quarters
+        .map(|quarter| window[quarter * HOP + offset].powi(2))
+        .sum()
 }
 
 #[cfg(test)]

@@ -1,57 +1,86 @@
-//! Medians: of a window that slides, and of a list.
+//! Medians: of windows that slide, and of a list.
+
+use pulp::{Arch, Simd, WithSimd};
 
 /// Length of the sliding window.
 pub(super) const WINDOW: usize = 31;
 
-/// The last [`WINDOW`] values in ascending order; one value is exchanged per step.
+/// Numbers of windows that slide side by side are multiples of this: whole vectors on every machine.
+pub(super) const LANES: usize = 16;
+
+/// The last [`WINDOW`] values of each of several windows, in ascending order; each step exchanges one value a window.
 #[derive(Clone, Debug)]
-pub(super) struct SlidingMedian {
-    // One more entry, always infinite, spares the shift below a special case.
-    sorted: [f32; WINDOW + 1],
+pub(super) struct SlidingMedians {
+    windows: usize,
+    /// What is replaced where there is nothing yet.
+    infinite: Vec<f32>,
+    /// The values of all windows rank by rank. One more rank, always infinite, spares the shift below a special case.
+    sorted: Vec<f32>,
 }
 
-impl SlidingMedian {
-    pub(super) fn new() -> Self {
+impl SlidingMedians {
+    /// `windows`, a multiple of [`LANES`], that wait for [`WINDOW`] values each.
+    pub(super) fn new(windows: usize) -> Self {
         Self {
-            sorted: [f32::INFINITY; WINDOW + 1],
+            windows,
+            infinite: vec![f32::INFINITY; windows],
+            sorted: vec![f32::INFINITY; (WINDOW + 1) * windows],
         }
     }
 
-    /// Starts over with these values.
-    pub(super) fn fill(&mut self, values: impl Iterator<Item = f32>) {
-        for (slot, value) in self.sorted[..WINDOW].iter_mut().zip(values) {
-            *slot = value;
-        }
-        self.sorted[..WINDOW].sort_unstable_by(f32::total_cmp);
-    }
-
-    /// Replaces `old`, which has to be in the window, by `new`.
-    ///
-    /// Branch-free over the whole window, so that it becomes a few vector instructions.
-    pub(super) fn exchange(&mut self, old: f32, new: f32) {
-        let mut without_old = [f32::INFINITY; WINDOW];
-        for (i, slot) in without_old.iter_mut().enumerate() {
-            let (here, next) = (self.sorted[i], self.sorted[i + 1]);
-            *slot = if here < old { here } else { next };
-        }
-        self.sorted[0] = lower(new, without_old[0]);
-        for i in 1..WINDOW {
-            self.sorted[i] = lower(upper(without_old[i - 1], new), without_old[i]);
+    /// Starts over with `values(0..WINDOW)`, each of one value a window.
+    pub(super) fn fill<V: AsRef<[f32]>>(&mut self, values: impl Fn(usize) -> V) {
+        self.sorted.fill(f32::INFINITY);
+        for index in 0..WINDOW {
+            let (sorted, old) = (&mut self.sorted, &self.infinite);
+            let new = values(index);
+            let new = new.as_ref();
+            Arch::new().dispatch(Exchange { sorted, old, new });
         }
     }
 
-    pub(super) fn median(&self) -> f32 {
-        self.sorted[WINDOW / 2]
+    /// Replaces `old`, which have to be in their windows, by `new`.
+    pub(super) fn exchange(&mut self, old: &[f32], new: &[f32]) {
+        let sorted = &mut self.sorted;
+        Arch::new().dispatch(Exchange { sorted, old, new });
+    }
+
+    /// The median of each window.
+    pub(super) fn medians(&self) -> &[f32] {
+        let middle = WINDOW / 2 * self.windows;
+        &self.sorted[middle..middle + self.windows]
     }
 }
 
-// `f32::min` and `f32::max` also sort out NaN, at a price; there is none here.
-fn lower(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
+struct Exchange<'a> {
+    sorted: &'a mut [f32],
+    old: &'a [f32],
+    new: &'a [f32],
 }
 
-fn upper(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
+impl WithSimd for Exchange<'_> {
+    type Output = ();
+
+    /// Free of branches: every value goes by every rank.
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (old, _) = S::as_simd_f32s(self.old);
+        let (new, _) = S::as_simd_f32s(self.new);
+        let (sorted, _) = S::as_mut_simd_f32s(self.sorted);
+        let width = old.len();
+        for (window, (&old, &new)) in old.iter().zip(new).enumerate() {
+            let mut below = simd.splat_f32s(f32::NEG_INFINITY);
+            let mut here = sorted[window];
+            for rank in 0..WINDOW {
+                let next = sorted[(rank + 1) * width + window];
+                let without_old = simd.select_f32s(simd.less_than_f32s(here, old), here, next);
+                sorted[rank * width + window] =
+                    simd.min_f32s(simd.max_f32s(below, new), without_old);
+                below = without_old;
+                here = next;
+            }
+        }
+    }
 }
 
 /// The two values in the middle of the sorted list (twice the same for an odd count), whose mean is
@@ -83,17 +112,23 @@ mod tests {
     proptest! {
         #[test]
         fn sliding_equals_sorting(values in prop::collection::vec(0_u8..12, WINDOW..200)) {
-            // Few distinct values: repeated ones are the hard case.
-            let values: Vec<f32> = values.into_iter().map(f32::from).collect();
-            let mut sliding = SlidingMedian::new();
-            sliding.fill(values.iter().copied());
-            for (start, window) in values.windows(WINDOW).enumerate() {
+            // Few distinct values: repeated ones are the hard case. Each window has a sequence of its own.
+            let lanes = |index: usize| -> [f32; LANES] {
+                std::array::from_fn(|lane| f32::from(values[(index + 7 * lane) % values.len()]))
+            };
+            let mut sliding = SlidingMedians::new(LANES);
+            sliding.fill(|_| [3.0; LANES]);
+            sliding.fill(lanes);
+            for start in 0..=values.len() - WINDOW {
                 if start > 0 {
-                    sliding.exchange(values[start - 1], values[start + WINDOW - 1]);
+                    sliding.exchange(&lanes(start - 1), &lanes(start + WINDOW - 1));
                 }
-                let mut sorted = window.to_vec();
-                sorted.sort_by(f32::total_cmp);
-                prop_assert_eq!(sliding.median(), sorted[WINDOW / 2]);
+                for (lane, &median) in sliding.medians().iter().enumerate() {
+                    let window = start..start + WINDOW;
+                    let mut sorted: Vec<f32> = window.map(|index| lanes(index)[lane]).collect();
+                    sorted.sort_by(f32::total_cmp);
+                    prop_assert_eq!(median, sorted[WINDOW / 2]);
+                }
             }
         }
 
