@@ -1,15 +1,14 @@
 //! The packet loop: decode, mix to mono, cut, resample, count; nothing of a song is kept but the
 //! resampled outputs.
 
-use std::thread;
-
 use symphonia::core::errors::Error as SymphoniaError;
 
 use super::{
-    AudioError, AudioLimits, AudioRange, DecodedAudio, Resampler,
+    AudioError, AudioLimits, AudioRange, DecodedAudio,
     downmix::Downmix,
     gapless::Trim,
     limits::{SLACK_S, Watch},
+    outputs::Outputs,
     sniff::{Container, Upload},
     source::{Packets, ogg_is_whole},
 };
@@ -182,7 +181,7 @@ fn cut_short(packets: &Packets, sink: &Sink<'_>) -> Option<String> {
     }
 }
 
-/// Where decoded audio goes: cut, the wanted range, one resampler per rate.
+/// Where decoded audio goes: cut, the wanted range, and on to the resamplers.
 struct Sink<'job> {
     job: &'job Job<'job>,
     trim: Trim,
@@ -192,48 +191,6 @@ struct Sink<'job> {
     received: u64,
     window: Window,
     outputs: Outputs,
-}
-
-/// One resampler per rate, and what it has given so far. They work side by side, a block of samples at a
-/// time.
-struct Outputs {
-    signals: Vec<(Resampler, Vec<f32>)>,
-    block: Vec<f32>,
-}
-
-impl Outputs {
-    /// About a second: long beside the start of a thread.
-    const BLOCK: usize = 1 << 15;
-
-    fn push(&mut self, samples: &[f32]) {
-        self.block.extend_from_slice(samples);
-        if self.block.len() >= Self::BLOCK {
-            self.resample();
-        }
-    }
-
-    fn resample(&mut self) {
-        let block = self.block.as_slice();
-        thread::scope(|scope| {
-            let Some(((first, signal), others)) = self.signals.split_first_mut() else {
-                return;
-            };
-            for (resampler, signal) in others {
-                scope.spawn(|| resampler.process(block, signal));
-            }
-            first.process(block, signal);
-        });
-        self.block.clear();
-    }
-
-    fn finish(mut self) -> Vec<Vec<f32>> {
-        self.resample();
-        let finish = |(resampler, mut signal): (Resampler, Vec<f32>)| {
-            resampler.finish(&mut signal);
-            signal
-        };
-        self.signals.into_iter().map(finish).collect()
-    }
 }
 
 /// The wanted part in frames of the upload.
@@ -273,7 +230,6 @@ impl<'job> Sink<'job> {
             end: job.range.duration_s.map(|_| frames(job.range.end_s())),
             position: 0,
         };
-        let plan = |&to: &u32| (Resampler::new(rate, to), Vec::new());
         Self {
             job,
             trim,
@@ -281,10 +237,7 @@ impl<'job> Sink<'job> {
             channels,
             received: 0,
             window,
-            outputs: Outputs {
-                signals: job.rates.iter().map(plan).collect(),
-                block: Vec::new(),
-            },
+            outputs: Outputs::new(rate, job.rates),
         }
     }
 

@@ -7,6 +7,7 @@ mod gapless;
 mod kernel;
 mod limits;
 mod mp4;
+mod outputs;
 mod resample;
 mod sniff;
 mod source;
@@ -85,8 +86,8 @@ pub struct DecodedAudio {
 /// The container is told from the bytes. Outside the used range the signals are zero, as at the
 /// ends of a file; encoder delay and padding are taken off; damaged packets become silence. Beyond
 /// the outputs (`4 * duration * rate` bytes per rate) nothing grows with the length of the audio:
-/// there is one packet, and one filter table per rate (usually 0.7 MiB, at most 4 MiB; the last 8
-/// are kept for later calls).
+/// there is one packet, some seconds on the way to the resamplers, and one filter table per rate
+/// (usually 0.7 MiB, at most 4 MiB; the last 8 are kept for later calls).
 ///
 /// `max_seconds` counts from the start of the file to the end of the range, because what lies in
 /// front of the range is decoded as well; what lies behind it is never decoded and not counted.
