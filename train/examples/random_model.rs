@@ -14,6 +14,7 @@ use bailando::{
 use bailando_train::{
     Tensor,
     export::{Description, PUBLISHED_HOP, write_model_directory},
+    onnx::InputRanges,
     weights::{
         Block, Convolution, DecoderLevel, DecoderWeights, EncoderLevel, EncoderWeights, GptWeights,
         HALF_JOINTS, HalfWeights, LayerNorm, Linear, ResidualBlock, VqVaeWeights,
@@ -60,7 +61,8 @@ fn main() -> anyhow::Result<()> {
         weights,
         training: BTreeMap::new(),
     };
-    write_model_directory(Path::new(&out), false, &gpt, &vqvae, &description)?;
+    let ranges = InputRanges::default();
+    write_model_directory(Path::new(&out), false, &gpt, &ranges, &vqvae, &description)?;
     Ok(())
 }
 

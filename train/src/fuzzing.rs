@@ -7,7 +7,7 @@ use bailando::model::WeightStorage;
 
 use crate::{
     checkpoint::Checkpoint,
-    onnx::{decoder_graph, encoder_graph, gpt_graph, receptive_codes},
+    onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph, receptive_codes},
     weights::{CriticWeights, GptWeights, VqVaeWeights},
 };
 
@@ -34,7 +34,7 @@ pub fn checkpoint(bytes: &[u8]) -> bool {
     }
     for heads in [1, 2] {
         if let Ok(weights) = GptWeights::from_checkpoint(&mut checkpoint, heads) {
-            let _ = gpt_graph(&weights, WeightStorage::Int8);
+            let _ = gpt_graph(&weights, WeightStorage::Int8, &InputRanges::default());
         }
         let _ = CriticWeights::from_checkpoint(&mut checkpoint, heads);
     }

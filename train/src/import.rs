@@ -11,6 +11,7 @@ use serde::de::DeserializeOwned;
 use crate::{
     checkpoint::{Checkpoint, CheckpointError},
     export::{Description, ExportError, write_model_directory},
+    onnx::InputRanges,
     weights::{GptWeights, VqVaeWeights, WeightError},
 };
 
@@ -102,6 +103,7 @@ pub fn import(options: &ImportOptions) -> Result<Manifest, ImportError> {
         out,
         replace,
         &gpt,
+        &InputRanges::default(),
         &vqvae,
         &description,
     )?)

@@ -17,7 +17,7 @@ use std::{
 use bailando::model::WeightStorage;
 use bailando_train::{
     checkpoint::Checkpoint,
-    onnx::{decoder_graph, encoder_graph, gpt_graph},
+    onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph},
     weights::{GptWeights, VqVaeWeights},
 };
 
@@ -122,7 +122,8 @@ fn run_gpt(session: &mut Session, sequences: &[&Sequence]) -> Vec<Vec<f32>> {
 fn a_batch_of_two_equals_two_single_runs() {
     let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
     let weights = GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
-    let mut session = session(&gpt_graph(&weights, WeightStorage::F32).unwrap());
+    let mut session =
+        session(&gpt_graph(&weights, WeightStorage::F32, &InputRanges::default()).unwrap());
     let [first, second] = sequences();
     let together = run_gpt(&mut session, &[&first, &second]);
     let apart = [&first, &second].map(|one| run_gpt(&mut session, &[one]).remove(0));

@@ -24,6 +24,7 @@ use bailando_train::{
     checkpoint::Checkpoint,
     export::{ExportError, write_model_directory},
     nn::{Codebook, DecoderNet, Parameters, Store},
+    onnx::InputRanges,
     weights::{Convolution, DecoderWeights, GptWeights, HALF_JOINTS, VqVaeWeights},
 };
 use burn_flex::{Flex, FlexDevice};
@@ -60,7 +61,14 @@ fn write(weights: &VqVaeWeights, frame: MotionFrame, out: &Path) -> Result<Manif
     let gpt = GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
     let mut description = options(Path::new(""), Path::new(""), out).description;
     description.motion_frame = frame;
-    write_model_directory(out, false, &gpt, weights, &description)
+    write_model_directory(
+        out,
+        false,
+        &gpt,
+        &InputRanges::default(),
+        weights,
+        &description,
+    )
 }
 
 fn open(model: &Path) -> bailando::Result<Choreographer> {

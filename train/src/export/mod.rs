@@ -18,7 +18,7 @@ use bailando::{
 };
 
 use crate::{
-    onnx::{decoder_graph, encoder_graph, gpt_graph},
+    onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph},
     weights::{GptWeights, VqVaeWeights},
 };
 use staging::Staging;
@@ -63,6 +63,8 @@ pub struct Description {
 
 /// Writes a model directory at `out`, checked by loading it before it takes its place.
 ///
+/// Weights of 8 bits are multiplied by what `ranges` say, or find ranges themselves where there are none.
+///
 /// An existing directory is only replaced with `replace`, and only if it is empty or a model
 /// directory; files that the new one does not have (a model card) stay.
 ///
@@ -72,13 +74,14 @@ pub fn write_model_directory(
     out: &Path,
     replace: bool,
     gpt: &GptWeights,
+    ranges: &InputRanges,
     vqvae: &VqVaeWeights,
     description: &Description,
 ) -> Result<Manifest, ExportError> {
     let mut manifest = manifest::manifest(gpt, vqvae, description)?;
     let mut staging = Staging::beside(out, replace)?;
     let graphs = [
-        ("gpt.onnx", gpt_graph(gpt, description.weights)?),
+        ("gpt.onnx", gpt_graph(gpt, description.weights, ranges)?),
         ("decoder.onnx", decoder_graph(vqvae, description.weights)?),
         ("encoder.onnx", encoder_graph(vqvae, description.weights)?),
     ];

@@ -285,6 +285,7 @@ impl GptNet {
         let hidden = self.final_norm.forward(parameters, hidden);
         let scores = |slot, stream: usize| {
             let rows = hidden.clone().narrow(1, stream * steps, steps);
+            parameters.see(slot, &rows);
             multiplied(rows, parameters.matrix(slot))
         };
         let upper = scores(self.upper_head, 1);

@@ -14,6 +14,7 @@ mod kernels;
 mod parameters;
 mod transformer;
 mod vqvae;
+mod watch;
 
 pub use codebook::{Codebook, MovingAverage};
 pub use critic::CriticNet;

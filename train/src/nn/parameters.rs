@@ -1,8 +1,10 @@
 //! Learned tensors: as a named list on the host, and as the same list on a device.
 
+use std::sync::Arc;
+
 use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
 
-use super::kernels::Precision;
+use super::{kernels::Precision, watch::Watch};
 use crate::Tensor;
 
 /// Place of a tensor in a [`Store`] and in the [`Parameters`] made of it.
@@ -85,6 +87,7 @@ pub struct Parameters<B: Backend> {
     shapes: Vec<Vec<usize>>,
     device: B::Device,
     precision: Precision,
+    watch: Option<Arc<Watch>>,
 }
 
 impl<B: Backend> Parameters<B> {
@@ -105,6 +108,32 @@ impl<B: Backend> Parameters<B> {
                 .collect(),
             device: device.clone(),
             precision: Precision::default(),
+            watch: None,
+        }
+    }
+
+    /// The same tensors, which remember what they are multiplied with.
+    #[must_use]
+    pub(crate) fn watched(self) -> Self {
+        let watch = Some(Arc::new(Watch::new(self.tensors.len())));
+        Self { watch, ..self }
+    }
+
+    /// The least and the largest number that each watched tensor was multiplied with, by the names of `store`: means
+    /// over all passes.
+    pub(crate) fn input_ranges(&self, store: &Store) -> Vec<(String, [f32; 2])> {
+        let ranges = self.watch.iter().flat_map(|watch| watch.ranges());
+        let names = store.entries.iter();
+        ranges
+            .zip(names)
+            .filter_map(|(range, (name, _))| Some((name.clone(), range?)))
+            .collect()
+    }
+
+    /// A tensor is about to be multiplied with `input`.
+    pub(super) fn see<const D: usize>(&self, slot: Slot, input: &Device<B, D>) {
+        if let Some(watch) = &self.watch {
+            watch.see(slot.0, input);
         }
     }
 
@@ -167,6 +196,7 @@ impl<B: Backend> Parameters<B> {
             shapes: self.shapes.clone(),
             device: self.device.clone(),
             precision: self.precision,
+            watch: None,
         }
     }
 }
@@ -184,6 +214,7 @@ impl<A: AutodiffBackend> Parameters<A> {
             shapes: self.shapes.clone(),
             device: self.device.clone(),
             precision: self.precision,
+            watch: None,
         }
     }
 }

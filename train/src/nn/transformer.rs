@@ -249,6 +249,7 @@ impl LinearNet {
             outputs: self.outputs,
             precision: parameters.precision(),
         };
+        parameters.see(self.weight, &input);
         let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
         B::convolve(plan, input, weight, bias)
     }

@@ -4,23 +4,27 @@ use bailando::model::WeightStorage;
 use half::f16;
 use prost::Message;
 
-use super::{GraphError, proto};
+use super::{GraphError, InputRanges, proto};
 use crate::Tensor;
 
-/// LayerNormalization came with 17, Split's `num_outputs` with 18, Gelu with 20.
-const OPSET: i64 = 20;
-/// The first IR version that goes with opset 20 or later in every runtime that knows it.
-const IR_VERSION: i64 = 10;
+/// Operators and file format of a graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Version {
+    opset: i64,
+    /// The first IR version that goes with the opset.
+    ir: i64,
+}
+
+impl Version {
+    /// LayerNormalization came with 17, Split's `num_outputs` with 18, Gelu with 20.
+    pub(super) const GELU: Self = Self { opset: 20, ir: 10 };
+    /// Attention came with 23.
+    pub(super) const ATTENTION: Self = Self { opset: 23, ir: 11 };
+}
 
 /// Name of a value inside a graph.
 #[derive(Clone, Debug)]
 pub(super) struct Value(String);
-
-impl Value {
-    pub(super) fn name(&self) -> &str {
-        &self.0
-    }
-}
 
 /// Size of one dimension of an input or output.
 #[derive(Clone, Copy, Debug)]
@@ -52,6 +56,8 @@ pub(super) enum Attribute<'a> {
 pub(super) struct GraphBuilder {
     graph: proto::Graph,
     storage: WeightStorage,
+    ranges: InputRanges,
+    version: Version,
     error: Option<GraphError>,
     values: usize,
 }
@@ -64,9 +70,22 @@ impl GraphBuilder {
                 ..proto::Graph::default()
             },
             storage,
+            ranges: InputRanges::default(),
+            version: Version::GELU,
             error: None,
             values: 0,
         }
+    }
+
+    /// With operators of another version.
+    pub(super) fn with_version(self, version: Version) -> Self {
+        Self { version, ..self }
+    }
+
+    /// With known ranges of what quantised matrices are multiplied with.
+    pub(super) fn with_ranges(self, ranges: &InputRanges) -> Self {
+        let ranges = ranges.clone();
+        Self { ranges, ..self }
     }
 
     /// The model's bytes, or the first error met while building.
@@ -75,13 +94,13 @@ impl GraphBuilder {
             return Err(error);
         }
         let model = proto::Model {
-            ir_version: IR_VERSION,
+            ir_version: self.version.ir,
             producer_name: env!("CARGO_PKG_NAME").to_owned(),
             producer_version: env!("CARGO_PKG_VERSION").to_owned(),
             graph: Some(self.graph),
             opset_import: vec![proto::OperatorSet {
                 domain: String::new(),
-                version: OPSET,
+                version: self.version.opset,
             }],
         };
         Ok(model.encode_to_vec())
@@ -134,7 +153,10 @@ impl GraphBuilder {
                 let matrix = self.weight(name, matrix);
                 self.apply("MatMul", &[input, &matrix], &[])
             }
-            WeightStorage::Int8 => self.quantised_product(name, matrix, input),
+            WeightStorage::Int8 => match self.ranges.of(name) {
+                Some(range) => self.statically_quantised_product(name, matrix, input, range),
+                None => self.dynamically_quantised_product(name, matrix, input),
+            },
         }
     }
 
@@ -162,16 +184,26 @@ impl GraphBuilder {
         Value(output)
     }
 
+    /// Applies an operator with several outputs.
+    pub(super) fn apply_for<const OUTPUTS: usize>(
+        &mut self,
+        operator: &str,
+        inputs: &[&Value],
+        attributes: &[(&str, Attribute<'_>)],
+    ) -> [Value; OUTPUTS] {
+        let outputs: [Value; OUTPUTS] = std::array::from_fn(|_| Value(self.fresh(operator)));
+        let names = outputs.iter().map(|output| output.0.clone()).collect();
+        self.push_node(operator, inputs, names, attributes);
+        outputs
+    }
+
     /// Splits `value` into equal parts along `axis`.
     pub(super) fn split<const PARTS: usize>(&mut self, value: &Value, axis: i64) -> [Value; PARTS] {
-        let outputs: [Value; PARTS] = std::array::from_fn(|_| Value(self.fresh("Split")));
         let attributes = [
             ("axis", Attribute::Int(axis)),
             ("num_outputs", Attribute::Int(PARTS as i64)),
         ];
-        let names = outputs.iter().map(|output| output.0.clone()).collect();
-        self.push_node("Split", &[value], names, &attributes);
-        outputs
+        self.apply_for("Split", &[value], &attributes)
     }
 
     fn fresh(&mut self, operator: &str) -> String {

@@ -8,11 +8,11 @@
 use bailando::model::WeightStorage;
 
 use super::{
-    GraphError,
+    GraphError, InputRanges,
     builder::{
         Attribute, Dim,
         Element::{Float, Int},
-        GraphBuilder, Value,
+        GraphBuilder, Value, Version,
     },
 };
 use crate::{
@@ -27,14 +27,21 @@ const LAYER_NORM_EPSILON: f32 = 1e-5;
 /// Inputs: `upper`, `lower`, `positions` int64 [batch, steps]; `music` float32 [batch, steps,
 /// columns]; `attention_bias` float32 [batch or 1, 1, 3 x steps, 3 x (past + steps)], added to the
 /// scaled scores; `past_key.i`, `past_value.i` float32 [batch, heads, past tokens, head size] for
-/// every block, those of the state network first. Outputs: `upper_logits`, `lower_logits` [batch,
+/// every block, those of the state network first. Products with 8-bit matrices know the range of what they multiply
+/// from `ranges`, or find it row by row. Outputs: `upper_logits`, `lower_logits` [batch,
 /// steps, vocabulary]; `present_key.i`, `present_value.i`, the past with the new tokens after it.
 ///
 /// # Errors
 /// [`GraphError::HalfRange`].
-pub fn gpt_graph(weights: &GptWeights, storage: WeightStorage) -> Result<Vec<u8>, GraphError> {
+pub fn gpt_graph(
+    weights: &GptWeights,
+    storage: WeightStorage,
+    ranges: &InputRanges,
+) -> Result<Vec<u8>, GraphError> {
     let mut gpt = GptGraph {
-        graph: GraphBuilder::new("motion_gpt", storage),
+        graph: GraphBuilder::new("motion_gpt", storage)
+            .with_version(Version::ATTENTION)
+            .with_ranges(ranges),
         weights,
     };
     let tokens = gpt.embeddings();
@@ -130,60 +137,35 @@ impl GptGraph<'_> {
             bias: Tensor::stacked(&[&block.query.bias, &block.key.bias, &block.value.bias]),
         };
         let fused = self.linear(&format!("{name}.query_key_value"), &fused, input);
-        let [query, key, value] = self
-            .graph
-            .split::<3>(&fused, 2)
-            .map(|part| self.split_heads(&part));
-        let key = self.extend_cache("key", layer, &key);
-        let value = self.extend_cache("value", layer, &value);
-
-        let scale = Tensor::from_fn(vec![], |_| 1.0 / (self.weights.head_size() as f32).sqrt());
-        let scale = self.graph.float(&format!("{name}.scale"), &scale);
-        let query = self.graph.apply("Mul", &[&query, &scale], &[]);
-        let key = self.permute(&key, &[0, 1, 3, 2]);
-        let scores = self.graph.apply("MatMul", &[&query, &key], &[]);
-        let scores = self.graph.apply("Add", &[&scores, bias], &[]);
-        let shares = self
-            .graph
-            .apply("Softmax", &[&scores], &[("axis", Attribute::Int(-1))]);
-        let mixed = self.graph.apply("MatMul", &[&shares, &value], &[]);
-
-        let mixed = self.permute(&mixed, &[0, 2, 1, 3]);
-        let mixed = self.reshape(
-            &mixed,
-            &format!("{name}.merge"),
-            &[0, 0, self.weights.channels()],
-        );
+        let [query, key, value] = self.graph.split::<3>(&fused, 2);
+        let [past_key, past_value] = ["key", "value"].map(|kind| self.past(kind, layer));
+        let heads = Attribute::Int(self.weights.heads as i64);
+        let heads = [("q_num_heads", heads), ("kv_num_heads", heads)];
+        // It scales by the root of the head size, and appends keys and values to the past.
+        let inputs = [&query, &key, &value, bias, &past_key, &past_value];
+        let [mixed, key, value] = self.graph.apply_for("Attention", &inputs, &heads);
+        for (kind, present) in [("key", key), ("value", value)] {
+            let name = format!("present_{kind}.{layer}");
+            let shape = self.cache_shape("all_tokens");
+            self.graph.output(&name, &present, Float, &shape);
+        }
         self.linear(&format!("{name}.projection"), &block.projection, &mixed)
     }
 
-    /// `[batch, tokens, channels]` to [batch, heads, tokens, head size].
-    fn split_heads(&mut self, value: &Value) -> Value {
-        let shape = [0, 0, self.weights.heads, self.weights.head_size()];
-        let name = format!("{}.heads", value.name());
-        let split = self.reshape(value, &name, &shape);
-        self.permute(&split, &[0, 2, 1, 3])
+    fn past(&mut self, kind: &str, layer: usize) -> Value {
+        let shape = self.cache_shape("past_tokens");
+        self.graph
+            .input(&format!("past_{kind}.{layer}"), Float, &shape)
     }
 
-    /// The past with the new tokens after it, which also goes out as the present.
-    fn extend_cache(&mut self, kind: &str, layer: usize, new: &Value) -> Value {
-        let shape = |tokens| {
-            [
-                Dim::Named("batch"),
-                Dim::Fixed(self.weights.heads),
-                Dim::Named(tokens),
-                Dim::Fixed(self.weights.head_size()),
-            ]
-        };
-        let (past_shape, present_shape) = (shape("past_tokens"), shape("all_tokens"));
-        let past = self
-            .graph
-            .input(&format!("past_{kind}.{layer}"), Float, &past_shape);
-        let present = self
-            .graph
-            .apply("Concat", &[&past, new], &[("axis", Attribute::Int(2))]);
-        let name = format!("present_{kind}.{layer}");
-        self.graph.output(&name, &present, Float, &present_shape)
+    /// `[batch, heads, tokens, head size]`.
+    fn cache_shape(&self, tokens: &'static str) -> [Dim<'static>; 4] {
+        [
+            Dim::Named("batch"),
+            Dim::Fixed(self.weights.heads),
+            Dim::Named(tokens),
+            Dim::Fixed(self.weights.head_size()),
+        ]
     }
 
     /// Upper logits from the upper third of the tokens, lower logits from the lower third.
@@ -232,17 +214,5 @@ impl GptGraph<'_> {
         let table = self.graph.weight(name, table);
         self.graph
             .apply("Gather", &[&table, rows], &[("axis", Attribute::Int(0))])
-    }
-
-    fn permute(&mut self, value: &Value, order: &[i64]) -> Value {
-        self.graph
-            .apply("Transpose", &[value], &[("perm", Attribute::Ints(order))])
-    }
-
-    /// A size of 0 keeps the dimension as it is.
-    fn reshape(&mut self, value: &Value, name: &str, shape: &[usize]) -> Value {
-        let shape: Vec<i64> = shape.iter().map(|&size| size as i64).collect();
-        let shape = self.graph.ints(name, &shape);
-        self.graph.apply("Reshape", &[value, &shape], &[])
     }
 }

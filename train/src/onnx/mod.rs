@@ -14,6 +14,7 @@ mod receptive;
 pub use decoder::decoder_graph;
 pub use encoder::encoder_graph;
 pub use gpt::gpt_graph;
+pub use quantise::InputRanges;
 pub use receptive::receptive_codes;
 
 /// Why a graph could not be written.

@@ -1,8 +1,11 @@
 //! Products with matrices of 8-bit integers.
 //!
-//! Weights have one scale a column. Activations get one a row (a token) while the graph runs: a token's
+//! Weights have one scale a column. Activations have one that is known beforehand (static quantisation), where their
+//! range was measured; else one a row (a token) while the graph runs. Either way a token's
 //! scale never depends on what else is in the batch, so neither do its codes. One scale for the
 //! whole batch, as `quantize_dynamic` of ONNX Runtime's tools writes it, would break that.
+
+use std::collections::BTreeMap;
 
 use super::{
     builder::{Attribute, GraphBuilder, Value},
@@ -17,24 +20,64 @@ const ZERO_POINT: u8 = 128;
 /// In place of the scale of a row or column of zeros.
 const SMALLEST: f32 = 1e-30;
 
+/// Largest step of an unsigned byte.
+const STEPS: f32 = 255.0;
+
+/// The least and the largest number that matrices are multiplied with, by the name of the matrix in the graph.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct InputRanges(BTreeMap<String, [f32; 2]>);
+
+impl InputRanges {
+    /// Of the matrix `name`.
+    pub(super) fn of(&self, name: &str) -> Option<[f32; 2]> {
+        self.0.get(name).copied()
+    }
+}
+
+impl FromIterator<(String, [f32; 2])> for InputRanges {
+    fn from_iter<I: IntoIterator<Item = (String, [f32; 2])>>(ranges: I) -> Self {
+        Self(ranges.into_iter().collect())
+    }
+}
+
 impl GraphBuilder {
-    /// `input` times `matrix` `[inputs, outputs]`, both quantised.
-    pub(super) fn quantised_product(
+    /// `input` times `matrix` `[inputs, outputs]`, both quantised; what lies outside `range` counts as its end.
+    ///
+    /// Written as the product of two dequantised tensors, which runtimes make one product of bytes of.
+    pub(super) fn statically_quantised_product(
+        &mut self,
+        name: &str,
+        matrix: &Tensor,
+        input: &Value,
+        range: [f32; 2],
+    ) -> Value {
+        let (step, zero) = step_and_zero(range);
+        let step = self.float(&format!("{name}.step"), &Tensor::from_fn(vec![], |_| step));
+        let zero = self.initializer(&format!("{name}.zero"), &[], proto::UINT8, vec![zero]);
+        let quantised = self.apply("QuantizeLinear", &[input, &step, &zero], &[]);
+        let input = self.apply("DequantizeLinear", &[&quantised, &step, &zero], &[]);
+
+        let (weight, scales) = self.quantised_matrix(name, matrix);
+        let centres = vec![0; matrix.dim(1)];
+        let centres = self.initializer(
+            &format!("{name}.centres"),
+            &[matrix.dim(1)],
+            proto::INT8,
+            centres,
+        );
+        let columns = [("axis", Attribute::Int(1))];
+        let matrix = self.apply("DequantizeLinear", &[&weight, &scales, &centres], &columns);
+        self.apply("MatMul", &[&input, &matrix], &[])
+    }
+
+    /// The same where nothing is known of the range: every row has its own.
+    pub(super) fn dynamically_quantised_product(
         &mut self,
         name: &str,
         matrix: &Tensor,
         input: &Value,
     ) -> Value {
-        let columns = Columns::of(matrix);
-        let weight = self.initializer(
-            &format!("{name}.int8"),
-            matrix.shape(),
-            proto::INT8,
-            columns.bytes,
-        );
-        let outputs = columns.scales.len();
-        let scales = Tensor::from_fn(vec![outputs], |column| columns.scales[column]);
-        let scales = self.float(&format!("{name}.scales"), &scales);
+        let (weight, scales) = self.quantised_matrix(name, matrix);
         let scalar = |graph: &mut Self, part: &str, value: f32| {
             graph.float(
                 &format!("{name}.{part}"),
@@ -61,10 +104,31 @@ impl GraphBuilder {
         self.apply("Mul", &[&product, &scales], &[])
     }
 
+    /// The bytes of a matrix, and the scales of its columns.
+    fn quantised_matrix(&mut self, name: &str, matrix: &Tensor) -> (Value, Value) {
+        let columns = Columns::of(matrix);
+        let weight = self.initializer(
+            &format!("{name}.int8"),
+            matrix.shape(),
+            proto::INT8,
+            columns.bytes,
+        );
+        let outputs = columns.scales.len();
+        let scales = Tensor::from_fn(vec![outputs], |column| columns.scales[column]);
+        (weight, self.float(&format!("{name}.scales"), &scales))
+    }
+
     fn cast(&mut self, value: &Value, element: i32) -> Value {
         let to = ("to", Attribute::Int(i64::from(element)));
         self.apply("Cast", &[value], &[to])
     }
+}
+
+/// What one step of a byte is worth, and the byte that stands for 0, which is in every range.
+fn step_and_zero([least, largest]: [f32; 2]) -> (f32, u8) {
+    let (least, largest) = (least.min(0.0), largest.max(0.0));
+    let step = ((largest - least) / STEPS).max(SMALLEST);
+    (step, (-least / step).round() as u8)
 }
 
 /// A matrix, quantised column by column.
@@ -123,16 +187,14 @@ mod tests {
         }
     }
 
-    /// The graph against the definition, in double precision.
-    #[test]
-    fn a_product_is_as_defined_and_a_row_knows_nothing_of_the_others() {
-        const INPUTS: usize = 40;
-        let matrix = Tensor::from_fn(vec![INPUTS, 3], |flat| (flat as f32 * 0.7).sin());
-        let mut graph = GraphBuilder::new("product", WeightStorage::Int8);
+    /// Runs a graph of one product with `matrix` on rows of numbers.
+    fn runner(matrix: &Tensor, ranges: &InputRanges) -> impl FnMut(&[f32]) -> Vec<f32> + use<> {
+        let inputs = matrix.dim(0);
+        let mut graph = GraphBuilder::new("product", WeightStorage::Int8).with_ranges(ranges);
         let shape = |last| [Dim::Named("rows"), Dim::Fixed(last)];
-        let input = graph.input("input", Element::Float, &shape(INPUTS));
-        let product = graph.product("matrix", &matrix, &input);
-        graph.output("product", &product, Element::Float, &shape(3));
+        let input = graph.input("input", Element::Float, &shape(inputs));
+        let product = graph.product("matrix", matrix, &input);
+        graph.output("product", &product, Element::Float, &shape(matrix.dim(1)));
         let bytes = graph.finish().unwrap();
         let library = std::env::var_os("ORT_DYLIB_PATH").unwrap_or_else(|| {
             let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../.onnxruntime/lib");
@@ -144,8 +206,8 @@ mod tests {
             .unwrap()
             .commit_from_memory(&bytes)
             .unwrap();
-        let mut run = |rows: &[f32]| -> Vec<f32> {
-            let input = ([rows.len() / INPUTS, INPUTS], rows.to_vec());
+        move |rows| {
+            let input = ([rows.len() / inputs, inputs], rows.to_vec());
             let input = ort::value::Tensor::from_array(input).unwrap();
             let outputs = session.run(ort::inputs! { "input" => input }).unwrap();
             outputs["product"]
@@ -153,7 +215,32 @@ mod tests {
                 .unwrap()
                 .1
                 .to_vec()
+        }
+    }
+
+    /// The product of a row as defined, in double precision: bytes of `step` each, `least` to `largest`, 0 at none.
+    fn by_definition(input: &[f32], columns: &Columns, step: f64, bytes: [f64; 2]) -> Vec<f64> {
+        let width = columns.scales.len();
+        let product = |column: usize| {
+            let terms = input.iter().enumerate().map(|(k, &x)| {
+                let weight = columns.bytes[width * k + column].cast_signed();
+                let byte = (f64::from(x) / step).round_ties_even();
+                byte.clamp(bytes[0], bytes[1]) * f64::from(weight)
+            });
+            terms.sum::<f64>() * step * f64::from(columns.scales[column])
         };
+        (0..width).map(product).collect()
+    }
+
+    const INPUTS: usize = 40;
+
+    fn matrix() -> Tensor {
+        Tensor::from_fn(vec![INPUTS, 3], |flat| (flat as f32 * 0.7).sin())
+    }
+
+    #[test]
+    fn a_product_is_as_defined_and_a_row_knows_nothing_of_the_others() {
+        let mut run = runner(&matrix(), &InputRanges::default());
         // A row of zeros, one of ones, one of large and one of small numbers.
         let rows: Vec<f32> = (0..4 * INPUTS)
             .map(|flat| match flat / INPUTS {
@@ -164,7 +251,7 @@ mod tests {
             })
             .collect();
         let together = run(&rows);
-        let columns = Columns::of(&matrix);
+        let columns = Columns::of(&matrix());
         for (row, input) in rows.chunks(INPUTS).enumerate() {
             let found = &together[3 * row..3 * row + 3];
             assert_eq!(run(input), found);
@@ -172,22 +259,45 @@ mod tests {
                 .iter()
                 .fold(0.0_f32, |largest, x| largest.max(x.abs()));
             let step = f64::from(largest.max(SMALLEST) / LARGEST);
-            for (column, &found) in found.iter().enumerate() {
-                let sum: f64 = input
-                    .iter()
-                    .enumerate()
-                    .map(|(k, &x)| {
-                        let weight = columns.bytes[3 * k + column].cast_signed();
-                        (f64::from(x) / step).round_ties_even() * f64::from(weight)
-                    })
-                    .sum();
-                let wanted = sum * step * f64::from(columns.scales[column]);
+            let wanted = by_definition(input, &columns, step, [-127.0, 127.0]);
+            for (&found, wanted) in found.iter().zip(wanted) {
                 let tolerance = 1e-5 * f64::from(largest) + 1e-30;
+                assert!((f64::from(found) - wanted).abs() < tolerance, "{row}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_product_in_a_known_range_is_as_defined_and_ends_where_the_range_does() {
+        let range = [-0.5, 2.0];
+        let ranges: InputRanges = [("matrix".to_owned(), range)].into_iter().collect();
+        let mut run = runner(&matrix(), &ranges);
+        let rows: Vec<f32> = (0..3 * INPUTS)
+            .map(|flat| 3.0 * (flat as f32 * 0.9).cos() * (flat / INPUTS) as f32)
+            .collect();
+        let together = run(&rows);
+        let columns = Columns::of(&matrix());
+        let (step, zero) = step_and_zero(range);
+        assert_eq!(zero, 51);
+        let bytes = [-f64::from(zero), 255.0 - f64::from(zero)];
+        for (row, input) in rows.chunks(INPUTS).enumerate() {
+            let found = &together[3 * row..3 * row + 3];
+            assert_eq!(run(input), found);
+            let wanted = by_definition(input, &columns, f64::from(step), bytes);
+            for (&found, wanted) in found.iter().zip(wanted) {
                 assert!(
-                    (f64::from(found) - wanted).abs() < tolerance,
-                    "{row} {column}"
+                    (f64::from(found) - wanted).abs() < 1e-4,
+                    "{row}: {found} {wanted}"
                 );
             }
         }
+    }
+
+    #[test]
+    fn zero_is_a_byte_of_every_range() {
+        assert_eq!(step_and_zero([-1.0, 1.55]).1, 100);
+        assert_eq!(step_and_zero([0.5, 2.55]), (0.01, 0));
+        assert_eq!(step_and_zero([-2.0, -1.0]).1, 255);
+        assert_eq!(step_and_zero([0.0, 0.0]).1, 0);
     }
 }

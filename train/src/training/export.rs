@@ -7,8 +7,8 @@ use burn_flex::{Flex, FlexDevice};
 use serde_json::Value;
 
 use super::{
-    Config, Stage, TrainError, keep::fingerprint, policy::Policy, suppress::suppressed_codes,
-    velocity::Decoders, vqvae::Trained,
+    Config, Stage, TrainError, calibrate::input_ranges, keep::fingerprint, policy::Policy,
+    suppress::suppressed_codes, velocity::Decoders, vqvae::Trained,
 };
 use crate::{
     export::{Description, ExportError, write_model_directory},
@@ -73,6 +73,7 @@ pub(super) fn write<const N: usize>(
         folder,
         replace,
         &policy.weights(),
+        &input_ranges(config, &policy),
         &vqvae_weights(config)?,
         &description,
     )?)

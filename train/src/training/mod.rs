@@ -4,6 +4,7 @@ mod ablation;
 mod actor_critic;
 mod adam;
 mod adapt;
+mod calibrate;
 mod chart;
 mod codes;
 mod config;

@@ -61,7 +61,8 @@ impl MusicScale {
         Ok(scale)
     }
 
-    fn is_standardised(&self) -> bool {
+    /// Whether columns have the training's mean and spread taken off.
+    pub(super) fn is_standardised(&self) -> bool {
         let moved = self.mean.iter().any(|&mean| mean != 0.0);
         moved
             || self

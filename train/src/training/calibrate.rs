@@ -1,0 +1,62 @@
+//! What the exported network's 8-bit matrices are multiplied with (static quantisation).
+
+use bailando::model::WeightStorage;
+use burn_flex::{Flex, FlexDevice};
+use ndarray::Array2;
+
+use super::{
+    Config,
+    policy::Policy,
+    sampling::{Sampler, Wish, unit},
+    windows::generator,
+};
+use crate::{nn::Parameters, onnx::InputRanges};
+
+/// Pieces that are danced, and their generators' seed.
+const PIECES: u64 = 64;
+const SEED: u64 = 0x6361_6c69;
+
+/// Ranges of what every matrix is multiplied with while the policy dances by itself, a window a piece.
+///
+/// It dances to noise with mean and spread of the training's music, so that no data are needed: recordings beside their
+/// own songs give nearly the same (docs/performance.md). Without standardised music the noise would be none that it
+/// knows: there is nothing then, nor where weights stay numbers of more than 8 bits.
+pub(super) fn input_ranges(config: &Config, policy: &Policy) -> InputRanges {
+    if config.export.weights != WeightStorage::Int8 || !policy.scale.is_standardised() {
+        return InputRanges::default();
+    }
+    let parameters = Parameters::<Flex>::from_store(&policy.store, &FlexDevice).watched();
+    let sampler = Sampler {
+        net: &policy.net,
+        parameters: &parameters,
+        temperature: f64::from(config.export.temperature),
+    };
+    let rows = policy.net.block() + 1;
+    let music: Vec<_> = (0..PIECES)
+        .map(|piece| noise(policy, rows, piece))
+        .collect();
+    let wishes = music
+        .iter()
+        .zip(PIECES..)
+        .map(|(music, number)| Wish::new(music.view(), &policy.starts, generator(SEED, number)));
+    sampler.generate(wishes.collect());
+    let ranges = parameters.input_ranges(&policy.store).into_iter();
+    ranges
+        .map(|(name, range)| (in_graph(&name), range))
+        .collect()
+}
+
+/// Scaled music without a pattern, `[rows, columns]`: columns that are heard have unit variance.
+fn noise(policy: &Policy, rows: usize, piece: u64) -> Array2<f32> {
+    let mut random = generator(SEED, piece);
+    let raw = Array2::from_shape_fn((rows, policy.scale.mean.len()), |(_, column)| {
+        let wide = 12.0_f64.sqrt() * (unit(&mut random) - 0.5);
+        policy.scale.mean[column] + policy.scale.spread[column] * wide as f32
+    });
+    policy.scaled(&raw)
+}
+
+/// Queries, keys and values are one matrix there; all three are multiplied with the same.
+fn in_graph(name: &str) -> String {
+    name.replace(".query.", ".query_key_value.")
+}
