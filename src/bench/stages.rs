@@ -52,7 +52,7 @@ pub(super) fn measure(
         stage(&format!("features_{}", rate.hz()), 1, seconds);
         if rate == Rate::Beats {
             let seconds = median(options.repeats, || extractor.beats(signal))?;
-            stage("beats", 1, seconds);
+            stage("beats", 2, seconds);
         }
     }
 

@@ -1,6 +1,8 @@
 //! Onset strength of the percussive part (FEATURES section 8).
 
-use ndarray::{Array2, ArrayRef1};
+use std::thread;
+
+use ndarray::{Array2, ArrayRef1, ArrayViewMut2, Axis};
 use rustfft::num_complex::Complex;
 
 use super::{
@@ -16,22 +18,54 @@ use super::{
 /// Rows by which the envelope is late: the difference itself, and half a frame.
 const SHIFT: usize = 1 + FRAME / (2 * HOP);
 
+/// Rows below which a second thread is not worth its start.
+const WORTH_A_THREAD: usize = 128;
+
 /// Median rise of the mel bands between rows.
 pub(super) struct Onset {
-    stft: Stft,
+    /// Each takes a part of the rows, side by side.
+    analysers: [Analyser; 2],
     bank: MelBank,
+    rises: [f32; BANDS],
+}
+
+/// Magnitudes of frames.
+struct Analyser {
+    stft: Stft,
     spectrum: Vec<Complex<f32>>,
     magnitudes: Vec<f32>,
-    rises: [f32; BANDS],
+}
+
+impl Analyser {
+    fn new(padding: Padding) -> Self {
+        Self {
+            stft: Stft::hann(padding),
+            spectrum: vec![Complex::default(); BINS],
+            magnitudes: vec![0.0; BINS],
+        }
+    }
+
+    /// Mel powers of the rows from `first` on.
+    fn mel(
+        &mut self,
+        bank: &MelBank,
+        signal: &[f32],
+        first: usize,
+        mut mel: ArrayViewMut2<'_, f32>,
+    ) {
+        for (row, power) in (first..).zip(mel.rows_mut()) {
+            self.stft.frame(signal, row * HOP, &mut self.spectrum);
+            magnitudes(&self.spectrum, &mut self.magnitudes);
+            bank.power(&self.magnitudes, power);
+        }
+    }
 }
 
 impl Onset {
     pub(super) fn new(sample_rate: f64, top_hz: f64, padding: Padding) -> Self {
         Self {
-            stft: Stft::hann(padding),
+            analysers: [(); 2].map(|()| Analyser::new(padding)),
             bank: MelBank::new(sample_rate, BINS, top_hz),
-            spectrum: vec![Complex::default(); BINS],
-            magnitudes: vec![0.0; BINS],
             rises: [0.0; BANDS],
         }
     }
@@ -39,12 +73,7 @@ impl Onset {
     /// Envelope of `T` rows.
     pub(super) fn envelope(&mut self, percussive: &[f32]) -> Vec<f32> {
         let rows = row_count(percussive.len());
-        let mut mel = Array2::zeros((rows, BANDS));
-        for (row, power) in mel.rows_mut().into_iter().enumerate() {
-            self.stft.frame(percussive, row * HOP, &mut self.spectrum);
-            magnitudes(&self.spectrum, &mut self.magnitudes);
-            self.bank.power(&self.magnitudes, power);
-        }
+        let mut mel = self.mel(percussive, rows);
         to_decibels(&mut mel, Reference::One);
 
         let mut envelope = vec![0.0; rows];
@@ -52,6 +81,22 @@ impl Onset {
             *strength = self.median_rise(&pair.row(0), &pair.row(1));
         }
         envelope
+    }
+
+    fn mel(&mut self, percussive: &[f32], rows: usize) -> Array2<f32> {
+        let mut mel = Array2::zeros((rows, BANDS));
+        let ([one, other], bank) = (&mut self.analysers, &self.bank);
+        if rows < WORTH_A_THREAD {
+            one.mel(bank, percussive, 0, mel.view_mut());
+            return mel;
+        }
+        let half = rows / 2;
+        let (first, second) = mel.view_mut().split_at(Axis(0), half);
+        thread::scope(|scope| {
+            scope.spawn(|| other.mel(bank, percussive, half, second));
+            one.mel(bank, percussive, 0, first);
+        });
+        mel
     }
 
     fn median_rise(&mut self, before: &ArrayRef1<f32>, after: &ArrayRef1<f32>) -> f32 {

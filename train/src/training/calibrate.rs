@@ -60,3 +60,61 @@ fn noise(policy: &Policy, rows: usize, piece: u64) -> Array2<f32> {
 fn in_graph(name: &str) -> String {
     name.replace(".query.", ".query_key_value.")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        nn::{GptNet, GptSizes, Store, random_gpt},
+        onnx::gpt_graph,
+        training::{music_scale::MusicScale, tests::config},
+    };
+
+    fn policy(spread: f32) -> Policy {
+        let sizes = GptSizes {
+            channels: 8,
+            heads: 2,
+            layers: 2,
+            block: 6,
+            codes: [5, 5],
+            columns: 3,
+        };
+        let mut store = Store::default();
+        Policy {
+            net: GptNet::new(&random_gpt(sizes, 7), &mut store),
+            store,
+            scale: MusicScale {
+                mean: vec![0.0; 3],
+                spread: vec![spread; 3],
+            },
+            starts: vec![[1, 4], [3, 0]],
+            critic: None,
+        }
+    }
+
+    /// Whether a product of the exported graph has to look for its range.
+    fn looks(policy: &Policy, ranges: &InputRanges) -> bool {
+        let graph = gpt_graph(&policy.weights(), WeightStorage::Int8, ranges).unwrap();
+        graph.windows(9).any(|part| part == b"ReduceMax")
+    }
+
+    #[test]
+    fn every_matrix_of_the_graph_has_its_range() {
+        let mut config = config(std::path::Path::new(""));
+        config.export.weights = WeightStorage::Int8;
+        config.export.temperature = 1.0;
+        let policy = policy(2.0);
+        let ranges = input_ranges(&config, &policy);
+        assert!(!looks(&policy, &ranges));
+        assert!(looks(&policy, &InputRanges::default()));
+        assert_eq!(ranges, input_ranges(&config, &policy));
+    }
+
+    #[test]
+    fn there_are_none_where_none_are_wanted_or_noise_is_no_music() {
+        let mut config = config(std::path::Path::new(""));
+        assert_eq!(input_ranges(&config, &policy(2.0)), InputRanges::default());
+        config.export.weights = WeightStorage::Int8;
+        assert_eq!(input_ranges(&config, &policy(1.0)), InputRanges::default());
+    }
+}
