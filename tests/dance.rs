@@ -324,14 +324,10 @@ fn a_stream_is_the_dance_in_pieces() {
             }
         }
         assert_eq!(next, opening.frames);
-        heights.sort_by(f32::total_cmp);
-        let [most, furthest] =
-            [99, 100].map(|percent| heights[(heights.len() - 1) * percent / 100]);
-        println!(
-            "{fps} fps, seed {seed}: heights of the stream differ by {most:.4} m in 99 of 100 places, {furthest:.4} m at most"
-        );
+        let furthest = heights.into_iter().fold(0.0, f32::max);
+        println!("{fps} fps, seed {seed}: heights of the stream differ by {furthest:.4} m at most");
         // A whole dance knows more of where the floor is than what was heard so far.
-        assert!(most < 0.03 && furthest < 0.05, "{most} {furthest}");
+        assert!(furthest < 0.03, "{furthest}");
     }
 }
 

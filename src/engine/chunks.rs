@@ -14,8 +14,9 @@ use crate::{
 /// Codes decoded per chunk besides the overlap, which is a sixth of the work then; memory does not grow
 /// with the song, and one of half a minute is a single chunk.
 pub(crate) const CHUNK_CODES: usize = 256;
-/// Codes of the first chunk where somebody waits for it; each further one is twice as long.
-const FIRST_CHUNK: usize = 21;
+/// Codes of the first chunk where somebody waits for it, a little more than the floor's lookahead; each further one is
+/// twice as long.
+const FIRST_CHUNK: usize = 24;
 /// Frames over which a dance that goes on from another leaves that one's last pose. The decoder did not know
 /// what would follow when it made that pose, and does now.
 const BLEND_FRAMES: usize = 32;

@@ -5,8 +5,6 @@ use super::floor_correction;
 /// How far ahead feet must be known before a frame is settled, seconds: half of the window that the
 /// correction looks at around a frame, and as much again, as its curve is smooth over two windows.
 const LOOKAHEAD_SECONDS: f64 = 2.5;
-/// The same for the first frames of a dance, which somebody waits for: what comes later is led on from there.
-const FIRST_LOOKAHEAD_SECONDS: f64 = 2.1;
 /// How much of what has left is looked at again, seconds: six windows; what is before them says nothing
 /// about the curve here.
 const HINDSIGHT_SECONDS: f64 = 10.0;
@@ -45,11 +43,7 @@ impl FloorLine {
     pub(super) fn push(&mut self, heights: Vec<f32>) -> Vec<f32> {
         self.heights.extend(heights);
         let known = self.heights.len();
-        let lookahead = match self.lifts.is_empty() {
-            true => FIRST_LOOKAHEAD_SECONDS,
-            false => LOOKAHEAD_SECONDS,
-        };
-        let settled = known.saturating_sub(self.frames(lookahead));
+        let settled = known.saturating_sub(self.frames(LOOKAHEAD_SECONDS));
         let least = self.lifts.len() + self.frames(LEAST_SECONDS);
         if !self.as_known || settled < least {
             return Vec::new();

@@ -158,10 +158,13 @@ impl Columns {
 
 #[cfg(test)]
 mod tests {
-    use std::env::consts::{DLL_PREFIX, DLL_SUFFIX};
+    use std::{
+        env::consts::{DLL_PREFIX, DLL_SUFFIX},
+        sync::OnceLock,
+    };
 
     use bailando::model::WeightStorage;
-    use ort::session::Session;
+    use ort::{environment::Environment, session::Session};
 
     use super::*;
     use crate::onnx::builder::{Dim, Element};
@@ -187,6 +190,19 @@ mod tests {
         }
     }
 
+    /// The runtime's environment, of which a process has one.
+    fn environment() -> &'static Environment {
+        static ENVIRONMENT: OnceLock<Environment> = OnceLock::new();
+        ENVIRONMENT.get_or_init(|| {
+            let library = std::env::var_os("ORT_DYLIB_PATH").unwrap_or_else(|| {
+                let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../.onnxruntime/lib");
+                format!("{folder}/{DLL_PREFIX}onnxruntime{DLL_SUFFIX}").into()
+            });
+            let builder = ort::environment::init_from(library).unwrap();
+            builder.build().unwrap()
+        })
+    }
+
     /// Runs a graph of one product with `matrix` on rows of numbers.
     fn runner(matrix: &Tensor, ranges: &InputRanges) -> impl FnMut(&[f32]) -> Vec<f32> + use<> {
         let inputs = matrix.dim(0);
@@ -196,13 +212,7 @@ mod tests {
         let product = graph.product("matrix", matrix, &input);
         graph.output("product", &product, Element::Float, &shape(matrix.dim(1)));
         let bytes = graph.finish().unwrap();
-        let library = std::env::var_os("ORT_DYLIB_PATH").unwrap_or_else(|| {
-            let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../.onnxruntime/lib");
-            format!("{folder}/{DLL_PREFIX}onnxruntime{DLL_SUFFIX}").into()
-        });
-        let environment = ort::environment::init_from(library).unwrap();
-        let environment = environment.build().unwrap();
-        let mut session = Session::builder(&environment)
+        let mut session = Session::builder(environment())
             .unwrap()
             .commit_from_memory(&bytes)
             .unwrap();
