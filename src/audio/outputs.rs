@@ -1,7 +1,7 @@
 //! Resampling beside the decoder: a thread for every rate that is asked for.
 
 use std::{
-    mem, panic,
+    panic,
     sync::{
         Arc,
         mpsc::{SyncSender, sync_channel},
@@ -80,10 +80,8 @@ impl Outputs {
     pub(super) fn finish(mut self) -> Vec<Vec<f32>> {
         self.hand_over();
         // All are told that nothing follows before one is waited for.
-        let threads: Vec<_> = mem::take(&mut self.resampling)
-            .into_iter()
-            .map(|resampling| resampling.thread)
-            .collect();
+        let resampling = self.resampling.into_iter();
+        let threads: Vec<_> = resampling.map(|resampling| resampling.thread).collect();
         let signals = threads.into_iter().map(JoinHandle::join);
         signals
             .map(|signal| signal.unwrap_or_else(|panicked| panic::resume_unwind(panicked)))

@@ -18,8 +18,8 @@ const SEED: u64 = 0x6361_6c69;
 
 /// Ranges of what every matrix is multiplied with while the policy dances by itself, a window a piece.
 ///
-/// It dances to noise with mean and spread of the training's music, so that no data are needed: recordings beside their
-/// own songs give nearly the same (docs/performance.md). Without standardised music the noise would be none that it
+/// It dances to noise with mean and spread of the training's music, so that no data are needed: dances to
+/// training songs give nearly the same (docs/experiments.md, run 8). Without standardised music the noise would be none that it
 /// knows: there is nothing then, nor where weights stay numbers of more than 8 bits.
 pub(super) fn input_ranges(config: &Config, policy: &Policy) -> InputRanges {
     if config.export.weights != WeightStorage::Int8 || !policy.scale.is_standardised() {
