@@ -3,22 +3,21 @@
 
 use std::{
     collections::VecDeque,
-    panic::{self, AssertUnwindSafe},
-    sync::Arc,
+    sync::{Arc, Mutex},
     time::{Duration, Instant},
 };
 
-use crossbeam_channel::Sender;
 use ndarray::Array2;
 
 use super::{
     EngineError,
     error::of_model,
-    observer::Observer,
+    frames::{End, Footage, Frames, Take},
+    observer::{Observer, guarded},
     piece::Piece,
-    progress::Stage,
+    reply::Reply,
     sessions::Sessions,
-    worker::{Job, Outcome},
+    worker::Job,
 };
 use crate::{CancelToken, Result, format::Codes, model::GptMemory};
 
@@ -30,15 +29,16 @@ pub(crate) struct Batch {
     dancing: Vec<Seat>,
     /// Wait for rows: new ones, and ones that made room at the end of a phrase. First come, first served.
     line: VecDeque<Seat>,
-    /// Have all their codes, but not all their frames.
-    decoding: VecDeque<Seat>,
+    /// Makes frames of their codes.
+    frames: Frames,
     observer: Arc<dyn Observer>,
 }
 
 /// A request and who waits for it.
 struct Seat {
     piece: Piece,
-    reply: Reply,
+    footage: Arc<Mutex<Footage>>,
+    reply: Arc<Reply>,
     /// Waiting, until it first found rows.
     queued: Duration,
     joined: Instant,
@@ -47,71 +47,68 @@ struct Seat {
     fresh: bool,
 }
 
-/// Where an outcome goes. Dropped unanswered it says that the model has stopped.
-pub(crate) struct Reply(pub(crate) Sender<Result<Outcome>>);
-
-impl Reply {
-    fn send(&self, result: Result<Outcome>) {
-        // Full when the request was cancelled meanwhile: it has its answer then.
-        let _ = self.0.try_send(result);
-    }
-}
-
-impl Drop for Reply {
-    /// After an answer nobody listens any more.
-    fn drop(&mut self) {
-        self.send(Err(EngineError::Stopped.into()));
-    }
-}
-
 impl Batch {
     /// Nothing to do yet; at most `rows` dances share a step.
-    pub(crate) fn new(sessions: Sessions, rows: usize, observer: Arc<dyn Observer>) -> Self {
-        Self {
+    ///
+    /// # Errors
+    /// As [`Frames::start`].
+    pub(crate) fn new(
+        sessions: Sessions,
+        rows: usize,
+        observer: Arc<dyn Observer>,
+    ) -> Result<Self> {
+        let decoder = sessions.decoder.clone();
+        Ok(Self {
             memory: sessions.gpt.memory(rows),
             sessions,
             dancing: Vec::new(),
             line: VecDeque::new(),
-            decoding: VecDeque::new(),
+            frames: Frames::start(decoder, rows, Arc::clone(&observer))?,
             observer,
-        }
+        })
     }
 
     /// Whether one more request may begin. As many as there are rows may do without one for now, so that
     /// what is begun is bounded, and that a request finds a place beside ones that hold all rows for long.
     pub(crate) fn has_place(&self) -> bool {
-        self.line.len() + self.decoding.len() < self.memory.rows()
+        self.line.len() < self.memory.rows()
     }
 
-    /// Whether there is nothing to do.
+    /// Whether there are no codes to choose.
     pub(crate) fn is_idle(&self) -> bool {
-        self.dancing.is_empty() && self.line.is_empty() && self.decoding.is_empty()
+        self.dancing.is_empty() && self.line.is_empty()
     }
 
     /// Lets a request join after it waited for `queued`.
     pub(crate) fn join(&mut self, job: Job, reply: Reply, queued: Duration) {
         let manifest = self.sessions.directory.manifest();
-        let begun = guarded(&*self.observer, || Ok(Piece::new(job, manifest)));
+        let job = Arc::new(job);
+        let begun = guarded(&*self.observer, || {
+            let footage = Footage::new(Arc::clone(&job), manifest);
+            Ok((Piece::new(job, manifest), Arc::new(Mutex::new(footage))))
+        });
         match begun {
-            Ok(piece) => self.line.push_back(Seat {
+            Ok((piece, footage)) => self.line.push_back(Seat {
                 piece,
-                reply,
+                footage,
+                reply: Arc::new(reply),
                 queued,
                 joined: Instant::now(),
                 started: None,
                 fresh: true,
             }),
-            Err(error) => reply.send(Err(error)),
+            Err(error) => reply.give(Err(error)),
         }
     }
 
     /// Decodes a few codes, in world directions.
     pub(crate) fn show(&mut self, codes: &Codes) -> Result<Array2<f32>> {
-        let sessions = &mut self.sessions;
+        let sessions = &self.sessions;
         guarded(&*self.observer, || {
             let never = CancelToken::new();
             let motion = sessions
                 .decoder
+                .lock()
                 .decode(&codes.upper, &codes.lower, &never)
                 .map_err(of_model)?;
             let frame = sessions.directory.manifest().motion_frame;
@@ -119,25 +116,24 @@ impl Batch {
         })
     }
 
-    /// One step of every dance that has rows, and a chunk of frames for each that has the codes.
+    /// One step of every dance that has rows.
     pub(crate) fn round(&mut self) {
-        self.leave_if_cancelled();
+        self.leave_if_over();
         self.make_room();
         self.step();
-        self.decode();
     }
 
-    fn leave_if_cancelled(&mut self) {
+    /// Who was cancelled leaves, and whose frames could not be made.
+    fn leave_if_over(&mut self) {
         let stays = |seat: &Seat| {
             let cancelled = seat.piece.job().cancel.is_cancelled();
             if cancelled {
                 // The cancellation itself may not have come to say so yet.
-                seat.reply.send(Err(EngineError::Cancelled.into()));
+                seat.reply.give(Err(EngineError::Cancelled.into()));
             }
-            !cancelled
+            !cancelled && !seat.reply.is_given()
         };
         self.line.retain(stays);
-        self.decoding.retain(stays);
         while let Some(place) = self.dancing.iter().position(|seat| !stays(seat)) {
             self.take_out(place);
         }
@@ -211,15 +207,34 @@ impl Batch {
         // A phrase that ends may begin one of as many rows, or none: no place changes meanwhile.
         self.each(|sessions, _, first, piece| {
             piece.choose(&logits, first);
-            piece.settle(&mut sessions.decoder, sessions.directory.manifest())
+            piece.settle(&sessions.decoder, sessions.directory.manifest())
         });
         for seat in &mut self.dancing {
             seat.fresh = false;
         }
+        self.make_frames();
         let has_all = |seat: &Seat| seat.piece.has_all_codes();
         while let Some(place) = self.dancing.iter().position(has_all) {
-            let seat = self.take_out(place);
-            self.decoding.push_back(seat);
+            self.take_out(place);
+        }
+    }
+
+    /// Sends off the chunks whose codes are settled now; who has all codes gets the answer with the last.
+    fn make_frames(&mut self) {
+        for seat in &mut self.dancing {
+            while let Some(chunk) = seat.piece.next_chunk() {
+                let end = seat.piece.end().map(|codes| End {
+                    codes,
+                    queued: seat.queued,
+                    started: seat.started.unwrap_or(seat.joined),
+                });
+                self.frames.make(Take {
+                    footage: Arc::clone(&seat.footage),
+                    chunk,
+                    end,
+                    reply: Arc::clone(&seat.reply),
+                });
+            }
         }
     }
 
@@ -236,7 +251,7 @@ impl Batch {
                 work(&mut self.sessions, &mut self.memory, first, &mut seat.piece)
             });
             if let Err(error) = done {
-                seat.reply.send(Err(error));
+                seat.reply.give(Err(error));
                 failed.push((place, first, rows));
             }
             first += rows;
@@ -254,53 +269,7 @@ impl Batch {
     fn fail_all(&mut self, problem: &str) {
         tracing::error!(problem, "a step of the model failed");
         for seat in self.dancing.drain(..) {
-            seat.reply.send(Err(EngineError::Panicked.into()));
+            seat.reply.give(Err(EngineError::Panicked.into()));
         }
     }
-
-    fn decode(&mut self) {
-        self.each(|sessions, _, _, piece| {
-            let manifest = sessions.directory.manifest();
-            piece.decode(&mut sessions.decoder, manifest)
-        });
-        for _ in 0..self.decoding.len() {
-            let Some(mut seat) = self.decoding.pop_front() else {
-                return;
-            };
-            let sessions = &mut self.sessions;
-            let manifest = sessions.directory.manifest();
-            let done = guarded(&*self.observer, || {
-                seat.piece.decode(&mut sessions.decoder, manifest)
-            });
-            match done {
-                Err(error) => seat.reply.send(Err(error)),
-                Ok(()) if seat.piece.is_complete() => self.finish(seat),
-                Ok(()) => self.decoding.push_back(seat),
-            }
-        }
-    }
-
-    fn finish(&self, seat: Seat) {
-        let Seat {
-            piece,
-            reply,
-            queued,
-            started,
-            ..
-        } = seat;
-        let outcome = guarded(&*self.observer, || {
-            piece.job().progress.stage(Stage::Motion);
-            let inference = started.map_or(Duration::ZERO, |started| started.elapsed());
-            Ok(piece.into_outcome(queued, inference))
-        });
-        reply.send(outcome);
-    }
-}
-
-/// A panic costs the request that it is about.
-fn guarded<T>(observer: &dyn Observer, work: impl FnOnce() -> Result<T>) -> Result<T> {
-    panic::catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
-        observer.panicked();
-        Err(EngineError::Panicked.into())
-    })
 }

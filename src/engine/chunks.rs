@@ -1,57 +1,58 @@
-//! Pose codes to motion in overlapping chunks: the same as at once, with bounded memory and while later
-//! codes are still unknown.
+//! Which codes are decoded together: chunks that overlap, so that motion is the same as at once, with bounded
+//! memory and while later codes are still unknown.
 
-use ndarray::{Array2, Axis, Slice};
-
-use super::error::of_model;
-use crate::{
-    CancelToken, Result,
-    format::Codes,
-    model::{Decoder, Manifest},
-    motion::ToWorld,
-};
+use crate::format::Codes;
 
 /// Codes decoded per chunk besides the overlap, which is a sixth of the work then; memory does not grow
-/// with the song, and one of half a minute is a single chunk.
+/// with the song.
 pub(crate) const CHUNK_CODES: usize = 256;
 /// Codes of the first chunk where somebody waits for it, a little more than the floor's lookahead; each further one is
 /// twice as long.
 const FIRST_CHUNK: usize = 24;
-/// Frames over which a dance that goes on from another leaves that one's last pose. The decoder did not know
-/// what would follow when it made that pose, and does now.
-const BLEND_FRAMES: usize = 32;
+/// Most codes of the last chunk where nobody sees frames before: all others are decoded while the model still chooses codes,
+/// and nothing is left to do beside the last one.
+const LAST_CHUNK: usize = 96;
 
-/// The motion of a piece, as far as it is decoded.
+/// What of a dance is decoded next, by its length and nothing else: motion does not depend on what else is computed meanwhile.
 ///
-/// The manifest's `receptive_codes` on either side of a chunk are decoded with it and dropped again; only the
-/// piece's own ends see the zero padding (ARCHITECTURE section 2).
+/// The codes that the decoder sees on either side of a chunk are decoded with it and dropped again; only the
+/// dance's own ends see the zero padding (ARCHITECTURE section 2).
 #[derive(Debug)]
-pub(crate) struct Chunks {
-    /// Codes that come before the piece: they are decoded with it, so that it goes on from them.
+pub(crate) struct ChunkPlan {
+    /// Codes that the decoder sees on either side of one.
+    receptive: usize,
+    /// Codes that come before the dance: they are decoded with it, so that it goes on from them.
     history: Codes,
-    /// Codes of the whole piece, and of those decoded.
+    /// Codes of the whole dance, and of the chunks so far.
     total: usize,
-    decoded: usize,
+    planned: usize,
     /// Codes of the next chunk.
     size: usize,
-    to_world: ToWorld,
-    /// How far the last pose of the dance before lies from the first one, per column.
-    seam: Vec<f32>,
-    /// How far the root has come on the floor, x and z in metres.
-    walked: [f32; 2],
+    /// Codes that are left for the last one.
+    last: usize,
 }
 
-impl Chunks {
-    /// Nothing yet of a piece of `total` codes behind those of `history`.
-    pub(crate) fn new(total: usize, history: Codes, to_world: ToWorld) -> Self {
+/// Codes to decode, with those around them that the decoder sees.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Chunk {
+    pub(crate) codes: Codes,
+    /// How many of them come before the chunk.
+    pub(crate) before: usize,
+    /// How many are the chunk.
+    pub(crate) length: usize,
+}
+
+impl ChunkPlan {
+    /// Nothing yet of a dance of `total` codes behind those of `history`, for a decoder that sees `receptive` codes on either
+    /// side of one.
+    pub(crate) fn new(total: usize, history: Codes, receptive: usize) -> Self {
         Self {
+            receptive,
             history,
             total,
-            decoded: 0,
+            planned: 0,
             size: CHUNK_CODES,
-            to_world,
-            seam: Vec::new(),
-            walked: [0.0; 2],
+            last: LAST_CHUNK,
         }
     }
 
@@ -62,99 +63,118 @@ impl Chunks {
 
     /// With a first chunk of `size` codes.
     pub(crate) fn starting_with(self, size: usize) -> Self {
-        Self { size, ..self }
+        Self {
+            size,
+            last: 0,
+            ..self
+        }
     }
 
-    /// Whether everything is decoded.
+    /// Whether all chunks are planned.
     pub(crate) fn is_complete(&self) -> bool {
-        self.decoded >= self.total
+        self.planned >= self.total
     }
 
-    /// Where the root has come to, and where it faces.
-    pub(crate) fn end(&self) -> ([f32; 2], f64) {
-        (self.walked, self.to_world.facing())
-    }
-
-    /// Decodes the next chunk `[frames, 3 joints]`, in world directions, if `codes` (upper and lower) know it
-    /// and what follows it as far as it matters.
-    pub(crate) fn advance(
-        &mut self,
-        decoder: &mut Decoder,
-        codes: [&[u32]; 2],
-        manifest: &Manifest,
-        cancel: &CancelToken,
-    ) -> Result<Option<Array2<f32>>> {
-        let (receptive, per_code) = (manifest.decoder.receptive_codes, manifest.frames_per_code);
-        let to = (self.decoded + self.size).min(self.total);
-        let end = (to + receptive).min(self.total);
+    /// The next chunk, if `codes` (upper and lower) know it and what follows it as far as it matters.
+    pub(crate) fn next(&mut self, codes: [&[u32]; 2]) -> Option<Chunk> {
+        let receptive = self.receptive;
+        let length = self.next_length();
+        let end = (self.planned + length + receptive).min(self.total);
         let known = codes.iter().all(|half| half.len() >= end);
         if self.is_complete() || !known {
-            return Ok(None);
+            return None;
         }
         // From here on counted from the first code of the history.
-        let before = self.history.upper.len();
-        let from = before + self.decoded;
+        let history = self.history.upper.len();
+        let from = history + self.planned;
         let first = from.saturating_sub(receptive);
         let [upper, lower] = codes;
-        let part = |history: &[u32], half: &[u32]| -> Vec<u32> {
-            let all = history.iter().chain(half);
-            let part = all.take(before + end).skip(first);
+        let part = |history_half: &[u32], half: &[u32]| -> Vec<u32> {
+            let all = history_half.iter().chain(half);
+            let part = all.take(history + end).skip(first);
             part.copied().collect()
         };
-        let upper = part(&self.history.upper, upper);
-        let lower = part(&self.history.lower, lower);
-        let decoded = decoder.decode(&upper, &lower, cancel).map_err(of_model)?;
-        let keep = Slice::from((from - first) * per_code..(before + to - first) * per_code);
-        let mut kept = decoded.slice_axis(Axis(0), keep).to_owned();
-        if self.decoded == 0 {
-            self.seam = self.seam_to(&kept, decoder, cancel)?;
-        }
-        self.leave_the_seam(&mut kept, self.decoded * per_code);
-        let motion = self.to_world.push(kept)?;
-        for row in motion.outer_iter() {
-            for (walked, column) in self.walked.iter_mut().zip([0, 2]) {
-                *walked += row.get(column).copied().unwrap_or_default();
-            }
-        }
-        self.decoded = to;
+        self.planned += length;
         self.size = (2 * self.size).min(CHUNK_CODES);
-        Ok(Some(motion))
+        Some(Chunk {
+            codes: Codes {
+                upper: part(&self.history.upper, upper),
+                lower: part(&self.history.lower, lower),
+            },
+            before: from - first,
+            length,
+        })
     }
 
-    /// The pose that the dance before ended with, less the first one: the history decoded alone ends as that
-    /// dance did.
-    fn seam_to(
-        &self,
-        motion: &Array2<f32>,
-        decoder: &mut Decoder,
-        cancel: &CancelToken,
-    ) -> Result<Vec<f32>> {
-        let Codes { upper, lower } = &self.history;
-        if upper.is_empty() {
-            return Ok(Vec::new());
+    fn next_length(&self) -> usize {
+        let left = self.total.saturating_sub(self.planned);
+        // Twice as many as a last one has are not worth the overlap.
+        match left < 2 * self.last {
+            true => left,
+            false => self.size.min(left - self.last),
         }
-        let before = decoder.decode(upper, lower, cancel).map_err(of_model)?;
-        let (Some(last), Some(first)) =
-            (before.outer_iter().next_back(), motion.outer_iter().next())
-        else {
-            return Ok(Vec::new());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RECEPTIVE: usize = 25;
+
+    fn plan(total: usize) -> ChunkPlan {
+        ChunkPlan::new(total, Codes::default(), RECEPTIVE)
+    }
+
+    /// Lengths of the chunks once all codes are known.
+    fn lengths(mut plan: ChunkPlan) -> Vec<usize> {
+        let codes = vec![0; plan.total];
+        std::iter::from_fn(|| plan.next([&codes, &codes]).map(|chunk| chunk.length)).collect()
+    }
+
+    #[test]
+    fn the_last_chunk_is_small_and_no_chunk_is_large() {
+        assert_eq!(lengths(plan(1)), [1]);
+        assert_eq!(lengths(plan(191)), [191]);
+        assert_eq!(lengths(plan(192)), [96, 96]);
+        assert_eq!(lengths(plan(228)), [132, 96]);
+        assert_eq!(lengths(plan(704)), [256, 256, 96, 96]);
+        assert_eq!(lengths(plan(700)), [256, 256, 188]);
+    }
+
+    #[test]
+    fn where_somebody_waits_the_first_chunk_is_small() {
+        assert_eq!(lengths(plan(20).soon()), [20]);
+        assert_eq!(lengths(plan(228).soon()), [24, 48, 96, 60]);
+    }
+
+    #[test]
+    fn a_chunk_waits_for_what_the_decoder_sees_and_brings_it_along() {
+        let upper: Vec<u32> = (0..228).collect();
+        let lower: Vec<u32> = upper.iter().map(|code| code + 1000).collect();
+        let known = |codes: usize| [&upper[..codes], &lower[..codes]];
+        let mut plan = plan(228);
+        assert_eq!(plan.next(known(132 + RECEPTIVE - 1)), None);
+        let first = plan.next(known(132 + RECEPTIVE)).unwrap();
+        assert_eq!((first.before, first.length), (0, 132));
+        assert_eq!(first.codes.upper, upper[..132 + RECEPTIVE]);
+        assert_eq!(plan.next(known(227)), None);
+        let last = plan.next(known(228)).unwrap();
+        assert_eq!((last.before, last.length), (RECEPTIVE, 96));
+        assert_eq!(last.codes.lower, lower[132 - RECEPTIVE..]);
+        assert!(plan.is_complete() && plan.next(known(228)).is_none());
+    }
+
+    #[test]
+    fn the_dance_before_is_seen_by_the_first_chunk() {
+        let history = Codes {
+            upper: vec![7; 40],
+            lower: vec![8; 40],
         };
-        Ok(last.iter().zip(first).map(|(a, b)| a - b).collect())
-    }
-
-    /// Takes the seam back in the frames from `first` on, with no speed at the end.
-    fn leave_the_seam(&self, motion: &mut Array2<f32>, first: usize) {
-        // Groups of three a joint; a turn, which a dancer's frame has behind them, belongs to none.
-        let joints = self.seam.len() / 3 * 3;
-        let rows = motion.outer_iter_mut().zip(first..BLEND_FRAMES);
-        for (mut row, frame) in rows {
-            let part = (frame + 1) as f32 / BLEND_FRAMES as f32;
-            let left = (1.0 + 2.0 * part) * (1.0 - part).powi(2);
-            let columns = row.iter_mut().zip(&self.seam).take(joints);
-            // The root's own columns are its velocity.
-            for (value, seam) in columns.skip(3) {
-                *value += left * seam;
-            }
-        }
+        let mut plan = ChunkPlan::new(2, history, RECEPTIVE);
+        let chunk = plan.next([&[1, 2], &[3, 4]]).unwrap();
+        assert_eq!((chunk.before, chunk.length), (RECEPTIVE, 2));
+        assert_eq!(chunk.codes.upper[RECEPTIVE - 1..], [7, 1, 2]);
+        assert_eq!(chunk.codes.lower[RECEPTIVE - 1..], [8, 3, 4]);
     }
 }

@@ -2,15 +2,18 @@
 
 mod batch;
 mod choreographer;
+mod chunk_decoder;
 mod chunks;
 mod ears;
 mod error;
+mod frames;
 mod guidance;
 mod observer;
 mod options;
 mod piece;
 mod progress;
 mod queue;
+mod reply;
 mod sampler;
 mod search;
 mod sessions;

@@ -24,7 +24,7 @@ pub struct GenerationOptions {
     /// its share of frames that stand still.
     pub candidates: Option<usize>,
     /// Whether a phrase in which the dancer stands still (of several candidates also: goes to the ground) is danced
-    /// anew, with up to 12 candidates in all; as the model says if absent, and where there are several candidates.
+    /// anew, up to three times and with at most 12 candidates in all; as the model says if absent, and where there are several candidates.
     pub redo: Option<bool>,
     /// First upper pose code; drawn from the manifest's list if absent.
     pub start_upper: Option<u32>,

@@ -1,28 +1,28 @@
 //! One request in the making: the codes so far, and what its dances in the batch ask of the model.
 
-use std::time::Duration;
+use std::sync::Arc;
 
-use ndarray::{Array2, ArrayView2, Axis, Slice};
+use ndarray::{ArrayView2, Axis, Slice};
 
 use super::{
-    chunks::Chunks,
+    chunks::{Chunk, ChunkPlan},
+    frames::SharedDecoder,
     guidance::Guide,
     sampler::Sampler,
     search::{Judge, Phrase, may_freeze, phrase_end},
     window::WindowStep,
-    worker::{Job, Outcome, branches},
+    worker::{Job, branches},
 };
 use crate::{
     Result,
     format::Codes,
-    model::{Decoder, Gpt, GptMemory, Logits, Manifest, ModelError, NextStep, Steps},
-    motion::ToWorld,
+    model::{Gpt, GptMemory, Logits, Manifest, ModelError, NextStep, Steps},
 };
 
 /// A request whose codes are being chosen, phrase by phrase. Its dances, one or a candidate each, go side
 /// by side; at a phrase's start nothing that the model remembers of them is needed.
 pub(crate) struct Piece {
-    job: Job,
+    job: Arc<Job>,
     /// Upper and lower codes that may be drawn.
     drawable: [Vec<u32>; 2],
     guide: Option<Guide>,
@@ -37,9 +37,8 @@ pub(crate) struct Piece {
     candidates: Phrase,
     /// The model remembers nothing of these dances yet.
     unprimed: bool,
-    chunks: Chunks,
-    /// Decoded motion that nobody has heard.
-    motion: Array2<f32>,
+    /// What is to be decoded when.
+    plan: ChunkPlan,
 }
 
 /// One of the dances that a phrase could become.
@@ -50,7 +49,7 @@ struct Dancing {
 
 impl Piece {
     /// Before its first step.
-    pub(crate) fn new(job: Job, manifest: &Manifest) -> Self {
+    pub(crate) fn new(job: Arc<Job>, manifest: &Manifest) -> Self {
         let mut sampler = Sampler::new(job.sampling, job.seed);
         let drawable = manifest.suppressed_codes.others(manifest.vocabulary);
         let pairs = &manifest.start_codes;
@@ -61,16 +60,14 @@ impl Piece {
             leads(&job.history.lower).unwrap_or(drawn[1]),
         ];
         let total = job.music.nrows() - job.lead_in().unwrap_or(0);
-        let to_world = ToWorld::new(manifest.motion_frame, f64::from(job.facing));
-        let chunks = Chunks::new(total, job.history.clone(), to_world);
-        let columns = 3 * manifest.skeleton.joints.len();
+        let receptive = manifest.decoder.receptive_codes;
+        let plan = ChunkPlan::new(total, job.history.clone(), receptive);
         let mut piece = Self {
             guide: Guide::new(job.guidance, job.music.view()),
-            chunks: match &job.listener {
-                Some(_) => chunks.soon(),
-                None => chunks,
+            plan: match &job.listener {
+                Some(_) => plan.soon(),
+                None => plan,
             },
-            motion: Array2::zeros((0, columns)),
             job,
             drawable,
             sampler,
@@ -241,7 +238,7 @@ impl Piece {
     }
 
     /// Ends the phrase if it is whole, and begins the next.
-    pub(crate) fn settle(&mut self, decoder: &mut Decoder, manifest: &Manifest) -> Result<()> {
+    pub(crate) fn settle(&mut self, decoder: &SharedDecoder, manifest: &Manifest) -> Result<()> {
         let total = self.total();
         if self.step() + 1 < self.end {
             if !self.job.is_judged() {
@@ -255,7 +252,7 @@ impl Piece {
         if self.job.has_a_choice() || self.job.redo && dances.iter().any(doubtful) {
             let mut judge = Judge {
                 beats: &self.job.beats,
-                decoder,
+                decoder: &mut decoder.lock(),
                 manifest,
                 cancel: &self.job.cancel,
             };
@@ -292,54 +289,22 @@ impl Piece {
         progress.codes(codes - leads, self.total() - leads);
     }
 
-    /// Decodes the next chunk of frames, if its codes are settled.
-    pub(crate) fn decode(&mut self, decoder: &mut Decoder, manifest: &Manifest) -> Result<()> {
+    /// The next chunk of codes that can be decoded.
+    pub(crate) fn next_chunk(&mut self) -> Option<Chunk> {
         let leads = self.job.lead_in().unwrap_or(0);
         let halves = [&self.settled.upper, &self.settled.lower];
         let codes = halves.map(|half| half.get(leads..).unwrap_or_default());
-        let cancel = &self.job.cancel;
-        let Some(motion) = self.chunks.advance(decoder, codes, manifest, cancel)? else {
-            return Ok(());
-        };
-        match &self.job.listener {
-            Some(listener) => listener.frames(motion),
-            None => self
-                .motion
-                .append(Axis(0), motion.view())
-                .map_err(|_| columns_differ(&motion, self.motion.ncols()))?,
-        }
-        Ok(())
+        self.plan.next(codes)
     }
 
-    /// Whether all frames are decoded.
-    pub(crate) fn is_complete(&self) -> bool {
-        self.chunks.is_complete()
-    }
-
-    /// What was made of it, by who waited and worked for so long.
-    pub(crate) fn into_outcome(self, queued: Duration, inference: Duration) -> Outcome {
+    /// The codes of the whole dance, once there are no more chunks.
+    pub(crate) fn end(&self) -> Option<Codes> {
         let leads = self.job.lead_in().unwrap_or(0);
-        let behind = |mut half: Vec<u32>| half.split_off(leads.min(half.len()));
-        let (walked, facing) = self.chunks.end();
-        Outcome {
-            codes: Codes {
-                upper: behind(self.settled.upper),
-                lower: behind(self.settled.lower),
-            },
-            motion: self.motion,
-            walked,
-            facing: facing as f32,
-            queued,
-            inference,
-        }
-    }
-}
-
-fn columns_differ(motion: &Array2<f32>, expected: usize) -> ModelError {
-    ModelError::Input {
-        what: "decoder.onnx: columns in world directions",
-        expected: expected.to_string(),
-        got: motion.ncols().to_string(),
+        let behind = |half: &[u32]| half.get(leads..).unwrap_or_default().to_vec();
+        self.plan.is_complete().then(|| Codes {
+            upper: behind(&self.settled.upper),
+            lower: behind(&self.settled.lower),
+        })
     }
 }
 

@@ -40,7 +40,7 @@ pub trait Listener: Progress {
     /// The music is known, and what the dance will be; called once, before any frames.
     fn opened(&self, opening: Opening);
     /// The next frames of decoded motion, `[frames, 3 joints]`, for the opening's finisher. Called on the
-    /// model's thread: it must not wait.
+    /// thread that makes everybody's frames: it must not wait.
     fn frames(&self, motion: Array2<f32>);
 }
 

@@ -59,7 +59,7 @@ impl Sampler {
             .extend(logits.map(|(code, logit)| (logit, code)));
         // Most likely first, smaller code first on ties, so that a seed means the same everywhere.
         self.candidates
-            .sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+            .sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         self.candidates
             .truncate(self.sampling.top_k.unwrap_or(usize::MAX).max(1));
         self.draw()

@@ -15,11 +15,11 @@ use crate::{
     motion::{beat_meeting, dance_beats, joint_speed, slow_share},
 };
 
-/// Codes that are chosen at once: about two seconds, a bar or so.
+/// Codes that are chosen at once: two seconds, a bar or so.
 const PHRASE: usize = 15;
-/// A phrase ends where the window moves, if it does so after about as many: what candidates share is
+/// A phrase ends where the window moves, if it does so after so many: what candidates share is
 /// computed anew there anyway, once for all of them.
-const PHRASES: RangeInclusive<usize> = 12..=22;
+const PHRASES: RangeInclusive<usize> = 12..=29;
 /// Codes at a phrase's end that are judged with the next one: their speed is smoothed, and decoded, with
 /// what follows.
 const UNSETTLED: usize = 2;
@@ -32,17 +32,20 @@ const FREEZING: f64 = 0.1;
 /// A pelvis that is no more metres above the lowest joint is what only a partner holds up: dancers of pairs
 /// do so in recordings.
 const GROUND: f32 = 0.68;
-/// A single dance is looked at where at least this share of its lower codes repeat the one before them: so do 38 of 40
-/// phrases that froze, and a quarter of all (docs/experiments.md, run 6).
-const KEPT: f64 = 0.2;
-/// While the best candidate freezes or goes to the ground, more are tried until there were so many: what
-/// one request may cost stays bounded.
+/// A single dance is looked at where at least this share of its lower codes repeat the one before them: so do five of six
+/// phrases that froze, all that froze for a fifth of their frames, and one of sixteen of all (docs/experiments.md, run 9).
+const KEPT: f64 = 0.25;
+/// While the best candidate freezes or goes to the ground, more are tried until there were so many, or they were tried so many
+/// times: what one request may cost stays bounded.
 const PATIENCE: usize = 12;
+const ROUNDS: usize = 4;
 
 /// Number of codes at the end of the phrase that follows `settled` codes of `total`.
 pub(super) fn phrase_end(settled: usize, total: usize, window: Window) -> usize {
-    let moves = |&length: &usize| window.moves_at(settled + length - 1);
-    let length = PHRASES.rev().find(moves).unwrap_or(PHRASE);
+    let moves = |length: usize| window.moves_at(settled + length - 1);
+    // And stays for a while: the first time, it moves twice.
+    let moves_last = |&length: &usize| moves(length) && !moves(length + 1);
+    let length = PHRASES.clone().find(moves_last).unwrap_or(PHRASE);
     (settled + length).min(total)
 }
 
@@ -105,7 +108,8 @@ impl Phrase {
     /// Whether `more` further ones are to be tried.
     pub(super) fn goes_on(&self, more: usize) -> bool {
         let bad = |(verdict, _): &(Verdict, Codes)| !verdict.is_good();
-        self.best.as_ref().is_some_and(bad) && self.tried + more <= PATIENCE
+        let patience = PATIENCE.min(ROUNDS * more);
+        self.best.as_ref().is_some_and(bad) && self.tried + more <= patience
     }
 
     /// The best of them; there is one once one was considered.
@@ -215,8 +219,8 @@ mod tests {
             upper: (0..lower.len() as u32).collect(),
             lower: lower.to_vec(),
         };
-        // One of the five codes from the second on is the one before it, then none.
-        assert!(may_freeze(&codes(&[1, 2, 2, 3, 4, 5]), 1));
+        // One of the four codes from the second on is the one before it, then none.
+        assert!(may_freeze(&codes(&[1, 2, 2, 3, 4]), 1));
         assert!(!may_freeze(&codes(&[1, 2, 3, 4, 5, 6]), 1));
         assert!(!may_freeze(&codes(&[1, 1, 2, 3, 4, 5, 6]), 2));
     }
@@ -231,14 +235,16 @@ mod tests {
             ends
         };
         let hop = Window::new(WindowKind::Hop, 15, 28);
-        assert_eq!(ends(hop, 80), [1, 16, 30, 44, 58, 72, 80]);
+        assert_eq!(ends(hop, 80), [1, 30, 44, 58, 72, 80]);
         let shorter = Window::new(WindowKind::Hop, 8, 28);
-        assert_eq!(ends(shorter, 80), [1, 16, 30, 51, 72, 80]);
+        assert_eq!(ends(shorter, 80), [1, 30, 51, 72, 80]);
+        let shortest = Window::new(WindowKind::Hop, 4, 28);
+        assert_eq!(ends(shortest, 80), [1, 30, 55, 80]);
         // A window that moves at every step, or hardly ever.
         let sliding = Window::new(WindowKind::Sliding, 15, 28);
-        assert_eq!(ends(sliding, 60), [1, 16, 38, 60]);
+        assert_eq!(ends(sliding, 60), [1, 16, 31, 46, 60]);
         let narrow = Window::new(WindowKind::Hop, 1, 28);
-        assert_eq!(ends(narrow, 70), [1, 16, 30, 45, 58, 70]);
+        assert_eq!(ends(narrow, 70), [1, 30, 58, 70]);
     }
 
     #[test]
@@ -269,7 +275,9 @@ mod tests {
         // Patience ends.
         let mut phrase = Phrase::default();
         for tried in 0..PATIENCE {
+            assert_eq!(phrase.goes_on(1), (1..ROUNDS).contains(&tried));
             assert_eq!(phrase.goes_on(3), (1..=PATIENCE - 3).contains(&tried));
+            assert_eq!(phrase.goes_on(5), (1..=PATIENCE - 5).contains(&tried));
             phrase.consider(verdict(1.0, 1.0), codes(tried as u32));
         }
     }

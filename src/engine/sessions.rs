@@ -7,9 +7,12 @@ use ndarray::Array2;
 
 use super::{
     EngineError, GenerationOptions,
-    batch::{Batch, Reply},
-    chunks::{CHUNK_CODES, Chunks},
+    batch::Batch,
+    chunk_decoder::ChunkDecoder,
+    chunks::{CHUNK_CODES, ChunkPlan},
+    frames::SharedDecoder,
     observer::Observer,
+    reply::Reply,
     sampler::Sampling,
     window::Window,
     worker::Job,
@@ -17,7 +20,7 @@ use super::{
 use crate::{
     CancelToken, Error, Result,
     format::Codes,
-    model::{Decoder, Gpt, ModelDirectory, ModelError, Steps, Vocabulary, WindowKind},
+    model::{Gpt, ModelDirectory, ModelError, Steps, Vocabulary, WindowKind},
     motion::{MotionFrame, ToWorld},
 };
 
@@ -29,7 +32,7 @@ const CHUNK_TOLERANCE: f32 = 1e-4;
 /// The ONNX sessions of one model directory.
 pub(crate) struct Sessions {
     pub(super) gpt: Gpt,
-    pub(super) decoder: Decoder,
+    pub(super) decoder: SharedDecoder,
     pub(super) directory: ModelDirectory,
 }
 
@@ -39,7 +42,7 @@ impl Sessions {
     pub(crate) fn load(directory: ModelDirectory, threads: usize) -> Result<Self> {
         let mut sessions = Self {
             gpt: directory.gpt(step_threads(&directory, threads))?,
-            decoder: directory.decoder(threads)?,
+            decoder: SharedDecoder::new(directory.decoder(threads)?),
             directory,
         };
         sessions.directory.encoder(threads)?;
@@ -77,10 +80,11 @@ impl Sessions {
     }
 
     /// A piece over a chunk's border, in chunks and at once: `receptive_codes` must be enough.
-    fn try_chunks(&mut self) -> Result<()> {
+    fn try_chunks(&self) -> Result<()> {
         let manifest = self.directory.manifest();
         // Both chunks are cut where the other's codes still matter.
-        let size = manifest.decoder.receptive_codes.min(CHUNK_CODES) + 1;
+        let receptive = manifest.decoder.receptive_codes;
+        let size = receptive.min(CHUNK_CODES) + 1;
         let count = 2 * size;
         let codes = |vocabulary: usize| -> Vec<u32> {
             let code = |step| (vocabulary - 1).saturating_sub(step * 7 % vocabulary);
@@ -91,24 +95,23 @@ impl Sessions {
             lower: codes(manifest.vocabulary.lower),
         };
         let cancel = CancelToken::new();
-        let whole = self.decoder.decode(&codes.upper, &codes.lower, &cancel)?;
+        let mut decoder = self.decoder.lock();
+        let whole = decoder.decode(&codes.upper, &codes.lower, &cancel)?;
         // As it is decoded: in the world's directions, differences would be summed.
         let as_decoded = ToWorld::new(MotionFrame::World, 0.0);
-        let mut chunks = Chunks::new(count, Codes::default(), as_decoded).starting_with(size);
+        let mut plan = ChunkPlan::new(count, Codes::default(), receptive).starting_with(size);
+        let mut chunks = ChunkDecoder::new(Codes::default(), as_decoded);
         let halves = [&codes.upper[..], &codes.lower[..]];
         let mut chunked = Vec::with_capacity(whole.len());
-        while let Some(chunk) = chunks.advance(&mut self.decoder, halves, manifest, &cancel)? {
-            chunked.extend(chunk);
+        while let Some(chunk) = plan.next(halves) {
+            chunked.extend(chunks.decode(&chunk, &mut decoder, &cancel)?);
         }
         let apart = |(a, b): (&f32, &f32)| (a - b).abs();
         let worst = whole.iter().zip(&chunked).map(apart).fold(0.0, f32::max);
         if worst > CHUNK_TOLERANCE {
             return Err(misfit(
                 "decoder.onnx in chunks",
-                format!(
-                    "the same motion as at once with receptive_codes {}",
-                    manifest.decoder.receptive_codes
-                ),
+                format!("the same motion as at once with receptive_codes {receptive}"),
                 format!("a difference of {worst} m"),
             ));
         }
@@ -141,8 +144,8 @@ impl Sessions {
             cancel: CancelToken::new(),
         };
         let (reply, outcome) = bounded(1);
-        let mut batch = Batch::new(self, rows, observer);
-        batch.join(job, Reply(reply), Duration::ZERO);
+        let mut batch = Batch::new(self, rows, observer)?;
+        batch.join(job, Reply::new(reply), Duration::ZERO);
         while !batch.is_idle() {
             batch.round();
         }

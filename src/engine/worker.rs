@@ -1,4 +1,4 @@
-//! The thread that owns the ONNX sessions and all dances in the making, behind a bounded queue.
+//! The thread that owns the motion GPT and all dances in the making, behind a bounded queue.
 
 use std::{
     fmt,
@@ -12,10 +12,11 @@ use ndarray::Array2;
 
 use super::{
     EngineError,
-    batch::{Batch, Reply},
+    batch::Batch,
     observer::Observer,
     progress::{Listener, Progress},
     queue::{Queue, Refused},
+    reply::Reply,
     sampler::Sampling,
     sessions::Sessions,
     window::Window,
@@ -180,7 +181,7 @@ impl Worker {
         let number = self.push(Ticket::Dance {
             job: Box::new(job),
             submitted: Instant::now(),
-            reply: Reply(reply),
+            reply: Reply::new(reply),
         })?;
         let result = outcome.recv().map_err(|_| EngineError::Stopped)?;
         // One that was cancelled while it waited gives its place back.

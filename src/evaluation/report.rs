@@ -121,13 +121,25 @@ impl Report {
                 };
                 let (title, reference) = (metric.title(), cell(&self.reference));
                 let generated = cell(&self.generated);
+                let worst = self.worst(metric);
                 writeln!(
                     text,
-                    "| {title}{wanted} | {reference} | {generated}{margin} |"
+                    "| {title}{wanted} | {reference} | {generated}{margin}{worst} |"
                 )?;
             }
         }
         Ok(())
+    }
+
+    /// The largest of all sets, of a metric that is itself about the worst case: a mean would hide it.
+    fn worst(&self, metric: Metric) -> String {
+        let largest = self.sets.iter().filter_map(|set| set.get(metric));
+        match largest.reduce(f64::max) {
+            Some(largest) if metric == Metric::SlowestWindow => {
+                format!(", {largest:.*} at most", metric.decimals())
+            }
+            _ => String::new(),
+        }
     }
 
     fn notes(&self, text: &mut String) -> std::fmt::Result {
@@ -206,7 +218,11 @@ mod tests {
 
     #[test]
     fn several_sets_are_a_mean_with_its_margin() {
-        let report = report(vec![scores(24.0, None), scores(26.0, Some(0.1))]);
+        let mut sets = vec![scores(24.0, None), scores(26.0, Some(0.1))];
+        for (set, slowest) in sets.iter_mut().zip([0.3, 0.1]) {
+            set.set(Metric::SlowestWindow, slowest);
+        }
+        let report = report(sets);
         assert_eq!(report.generated.get(Metric::FidK), Some(25.0));
         // Not known of all sets.
         assert_eq!(report.generated.get(Metric::BeatAlign), None);
@@ -226,6 +242,10 @@ mod tests {
         );
         assert!(
             text.contains("| beat align score (Eq. 15) ↑ | 0.2000 | – |\n"),
+            "{text}"
+        );
+        assert!(
+            text.contains(" | 0.2000 ± 1.2706, 0.3000 at most |\n"),
             "{text}"
         );
         assert_eq!(

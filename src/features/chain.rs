@@ -12,7 +12,7 @@ use super::{
     chroma,
     cqt::Cqt,
     decibel::{Reference, to_decibels},
-    hpss::Separator,
+    halves::Halves,
     mel::{BANDS, MelBank},
     mfcc::{Mfcc, delta},
     onset::Onset,
@@ -33,7 +33,7 @@ pub(super) struct Split {
 
 /// All stages, planned.
 pub(super) struct Chain {
-    separator: Separator,
+    halves: Halves,
     mel: MelBank,
     mfcc: Mfcc,
     stft: Stft,
@@ -57,7 +57,7 @@ impl Chain {
             ..
         } = settings;
         Self {
-            separator: Separator::new(padding, settings.silent_tail),
+            halves: Halves::new(padding, settings.silent_tail),
             mel: MelBank::new(sample_rate, BINS, sample_rate / 2.0),
             mfcc: Mfcc::new(),
             stft: Stft::hann(padding),
@@ -96,20 +96,19 @@ impl Chain {
             percussive: pcm.to_vec(),
         };
         let harmonic = Some(split.harmonic.as_mut_slice());
-        self.separator
-            .split(&mut split.percussive, harmonic, |row, magnitudes| {
-                bank.power(magnitudes, mel.row_mut(row));
-                !cancel.is_cancelled()
-            });
+        let separator = self.halves.alone();
+        separator.split(&mut split.percussive, harmonic, |row, magnitudes| {
+            bank.power(magnitudes, mel.row_mut(row));
+            !cancel.is_cancelled()
+        });
         to_decibels(&mut mel, Reference::Maximum);
         (split, mel)
     }
 
-    /// The percussive part alone, in the place of the whole.
+    /// The percussive part alone, in the place of the whole, on two threads.
     pub(super) fn percussive(&mut self, signal: &mut [f32]) {
         let cancel = &self.cancel;
-        self.separator
-            .split(signal, None, |_, _| !cancel.is_cancelled());
+        self.halves.percussive(signal, || !cancel.is_cancelled());
     }
 
     /// Columns 0..40.

@@ -9,6 +9,7 @@ mod decibel;
 mod decimate;
 mod error;
 mod fft;
+mod halves;
 mod hpss;
 mod istft;
 mod median;
