@@ -72,12 +72,12 @@ struct SamplingArgs {
     /// below it less; other than 1 costs twice as much
     #[arg(long)]
     guidance: Option<f32>,
-    /// Candidates for every two or three seconds of dance, of which that is taken whose beats lie
+    /// Candidates for every two to four seconds of dance, of which that is taken whose beats lie
     /// nearest to the music's, less its share of frames that stand still; the cost grows with them.
     /// One with --features, which tell no beats
     #[arg(long)]
     candidates: Option<usize>,
-    /// Whether two or three seconds of dance in which the dancer stands still (of several candidates
+    /// Whether two to four seconds of dance in which the dancer stands still (of several candidates
     /// also: goes to the ground) are danced anew, up to three times and with at most 12 candidates
     /// in all [default: the model's, and true with several candidates]
     #[arg(long, value_name = "BOOL")]

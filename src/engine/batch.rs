@@ -3,11 +3,12 @@
 
 use std::{
     collections::VecDeque,
-    sync::{Arc, Mutex},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use ndarray::Array2;
+use parking_lot::Mutex;
 
 use super::{
     EngineError,
@@ -31,6 +32,8 @@ pub(crate) struct Batch {
     line: VecDeque<Seat>,
     /// Makes frames of their codes.
     frames: Frames,
+    /// They cannot be made any more.
+    stopped: bool,
     observer: Arc<dyn Observer>,
 }
 
@@ -64,6 +67,7 @@ impl Batch {
             dancing: Vec::new(),
             line: VecDeque::new(),
             frames: Frames::start(decoder, rows, Arc::clone(&observer))?,
+            stopped: false,
             observer,
         })
     }
@@ -77,6 +81,11 @@ impl Batch {
     /// Whether there are no codes to choose.
     pub(crate) fn is_idle(&self) -> bool {
         self.dancing.is_empty() && self.line.is_empty()
+    }
+
+    /// Whether nothing can be made any more.
+    pub(crate) fn has_stopped(&self) -> bool {
+        self.stopped
     }
 
     /// Lets a request join after it waited for `queued`.
@@ -228,12 +237,13 @@ impl Batch {
                     queued: seat.queued,
                     started: seat.started.unwrap_or(seat.joined),
                 });
-                self.frames.make(Take {
+                let made = self.frames.make(Take {
                     footage: Arc::clone(&seat.footage),
                     chunk,
                     end,
                     reply: Arc::clone(&seat.reply),
                 });
+                self.stopped |= made.is_err();
             }
         }
     }

@@ -36,8 +36,8 @@ pub struct EngineConfig {
     pub model_dir: PathBuf,
     /// Threads that ONNX Runtime computes one step with.
     pub threads: usize,
-    /// Dances that share a step of the model, candidates counted; twice as many generations are begun at
-    /// once at most.
+    /// Dances that share a step of the model, candidates counted; about three times as many generations are in
+    /// the making at once at most, those counted that wait for rows or for their frames.
     pub batch: usize,
     /// Generations that may wait for the model before they begin.
     pub queue: usize,

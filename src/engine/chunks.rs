@@ -9,8 +9,8 @@ pub(crate) const CHUNK_CODES: usize = 256;
 /// Codes of the first chunk where somebody waits for it, a little more than the floor's lookahead; each further one is
 /// twice as long.
 const FIRST_CHUNK: usize = 24;
-/// Most codes of the last chunk where nobody sees frames before: all others are decoded while the model still chooses codes,
-/// and nothing is left to do beside the last one.
+/// Codes that are left for the last chunk where nobody sees frames before, up to twice as many: all others are decoded while the
+/// model still chooses codes, and during the last one it has nothing left to do.
 const LAST_CHUNK: usize = 96;
 
 /// What of a dance is decoded next, by its length and nothing else: motion does not depend on what else is computed meanwhile.

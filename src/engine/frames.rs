@@ -1,14 +1,15 @@
 //! The thread that makes frames of codes, beside the one that chooses them: a chunk of frames takes as long as dozens of
-//! steps, which nobody's dance has to wait for.
+//! steps.
 
 use std::{
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::Arc,
     thread,
     time::{Duration, Instant},
 };
 
 use crossbeam_channel::{Receiver, Sender, bounded};
 use ndarray::{Array2, Axis};
+use parking_lot::{Mutex, MutexGuard};
 
 use super::{
     EngineError,
@@ -26,7 +27,8 @@ use crate::{
     motion::ToWorld,
 };
 
-/// The decoder, which one thread at a time has.
+/// The decoder, which one thread at a time has. The lock is a fair one: who judges a phrase waits for the chunk in the making, not
+/// for all that wait behind it.
 #[derive(Clone)]
 pub(crate) struct SharedDecoder(Arc<Mutex<Decoder>>);
 
@@ -37,7 +39,7 @@ impl SharedDecoder {
 
     /// Waits for it. A panic leaves nothing half done in it: it remembers nothing from run to run.
     pub(crate) fn lock(&self) -> MutexGuard<'_, Decoder> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock()
     }
 }
 
@@ -60,8 +62,10 @@ impl Footage {
         }
     }
 
-    fn add(&mut self, chunk: &Chunk, decoder: &mut Decoder) -> Result<()> {
-        let motion = self.chunks.decode(chunk, decoder, &self.job.cancel)?;
+    fn add(&mut self, chunk: &Chunk, decoder: &SharedDecoder) -> Result<()> {
+        let cancel = &self.job.cancel;
+        // The decoder is free again before anybody hears of the frames.
+        let motion = self.chunks.decode(chunk, &mut decoder.lock(), cancel)?;
         match &self.job.listener {
             Some(listener) => listener.frames(motion),
             None => self
@@ -111,8 +115,8 @@ impl Take {
             return;
         }
         let made = guarded(observer, || {
-            let mut footage = self.footage.lock().unwrap_or_else(PoisonError::into_inner);
-            footage.add(&self.chunk, &mut decoder.lock())?;
+            let mut footage = self.footage.lock();
+            footage.add(&self.chunk, decoder)?;
             Ok(self.end.map(|end| footage.end(end)))
         });
         match made {
@@ -147,9 +151,11 @@ impl Frames {
     }
 
     /// Gives the thread a chunk; waits while too many wait already.
-    pub(crate) fn make(&self, take: Take) {
-        // Without the thread, replies say so as they are dropped.
-        let _ = self.takes.send(take);
+    ///
+    /// # Errors
+    /// [`EngineError::Stopped`] when the thread has ended, which only a defect of ours can do to it.
+    pub(crate) fn make(&self, take: Take) -> Result<(), EngineError> {
+        self.takes.send(take).map_err(|_| EngineError::Stopped)
     }
 }
 

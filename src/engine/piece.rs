@@ -250,14 +250,17 @@ impl Piece {
         let settled = self.settled.upper.len();
         let doubtful = |dance: &Dancing| may_freeze(&dance.codes, settled);
         if self.job.has_a_choice() || self.job.redo && dances.iter().any(doubtful) {
+            let codes: Vec<&Codes> = dances.iter().map(|dance| &dance.codes).collect();
+            let mut free = decoder.lock();
             let mut judge = Judge {
                 beats: &self.job.beats,
-                decoder: &mut decoder.lock(),
+                decoder: &mut free,
                 manifest,
                 cancel: &self.job.cancel,
             };
-            let codes: Vec<&Codes> = dances.iter().map(|dance| &dance.codes).collect();
-            let verdicts = judge.judge(&codes, settled, self.end == total)?;
+            let verdicts = judge.judge(&codes, settled, self.end == total);
+            drop(free);
+            let verdicts = verdicts?;
             for (verdict, dance) in verdicts.into_iter().zip(dances) {
                 self.candidates.consider(verdict, dance.codes);
             }

@@ -40,3 +40,31 @@ impl Drop for Reply {
         self.give(Err(EngineError::Stopped.into()));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use crossbeam_channel::bounded;
+
+    use super::*;
+
+    #[test]
+    fn the_first_answer_is_heard_and_none_is_one_as_well() {
+        let (sender, outcome) = bounded(1);
+        let reply = Reply::new(sender);
+        assert!(!reply.is_given());
+        reply.give(Err(EngineError::Cancelled.into()));
+        reply.give(Err(EngineError::Panicked.into()));
+        assert!(reply.is_given());
+        drop(reply);
+        let heard: Vec<_> = outcome.iter().map(|result| result.unwrap_err()).collect();
+        assert!(
+            matches!(heard[..], [crate::Error::Engine(EngineError::Cancelled)]),
+            "{heard:?}"
+        );
+
+        let (sender, outcome) = bounded(1);
+        drop(Reply::new(sender));
+        let heard = outcome.recv().unwrap().unwrap_err();
+        assert!(matches!(heard, crate::Error::Engine(EngineError::Stopped)));
+    }
+}

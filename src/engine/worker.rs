@@ -226,7 +226,7 @@ impl Drop for AbandonOnDrop {
     }
 }
 
-/// Takes requests in whenever they may begin, until the queue is closed and nothing is left to do.
+/// Takes requests in whenever they may begin, until the queue is closed and nothing is left to do, or can be done.
 fn serve(batch: &mut Batch, queue: &Queue<Ticket>) {
     loop {
         while batch.has_place() {
@@ -249,5 +249,8 @@ fn serve(batch: &mut Batch, queue: &Queue<Ticket>) {
             }
         }
         batch.round();
+        if batch.has_stopped() {
+            return;
+        }
     }
 }

@@ -52,17 +52,7 @@ impl Halves {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-
-    fn noise(samples: usize) -> Vec<f32> {
-        let mut state = 3_u32;
-        (0..samples)
-            .map(|_| {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (state >> 8) as f32 / 8_388_608.0 - 1.0
-            })
-            .collect()
-    }
+    use super::{super::hpss::tests::noise, *};
 
     #[test]
     fn halves_are_those_of_the_whole() {

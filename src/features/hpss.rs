@@ -205,10 +205,10 @@ fn soft_mask(part: f32, other: f32) -> f32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn noise(samples: usize) -> Vec<f32> {
+    pub(in crate::features) fn noise(samples: usize) -> Vec<f32> {
         let mut state = 7_u32;
         (0..samples)
             .map(|_| {

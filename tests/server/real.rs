@@ -246,6 +246,7 @@ impl Generate for Faulty {
             Some(101) => Stage::Decoding,
             Some(102) => Stage::Features,
             Some(103) => Stage::Generating,
+            Some(104) => Stage::Motion,
             _ => return self.0.generate_with_progress(audio, options, cancel, inner),
         };
         let trap = Arc::new(Trap { stage, inner });
@@ -267,7 +268,7 @@ impl Generate for Faulty {
     }
 }
 
-/// RELIABILITY, row 9: a panic in decoder, features or the model's thread costs its own request only, though
+/// RELIABILITY, row 9: a panic in decoder, features, the model's thread or that of frames costs its own request only, though
 /// others share the model's steps with it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_panic_in_any_stage_costs_its_own_request_only() {
@@ -279,7 +280,7 @@ async fn a_panic_in_any_stage_costs_its_own_request_only() {
         tokio::spawn(async move { send(&app, request).await })
     };
     let undisturbed = codes(&ask(1).await.unwrap());
-    for faulty in [101, 102, 103] {
+    for faulty in [101, 102, 103, 104] {
         let (beside, panicking) = (ask(1), ask(faulty));
         panicking.await.unwrap().expect_error(500, "internal");
         assert_eq!(

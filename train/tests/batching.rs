@@ -63,7 +63,12 @@ fn dance(
     number: usize,
     progress: Arc<dyn Progress>,
 ) -> bailando::Result<RawDance> {
-    let music = music(number * 7, 40 + 9 * number);
+    let length = match number {
+        // More than one chunk of frames.
+        4 => 230,
+        _ => 40 + 9 * number,
+    };
+    let music = music(number * 7, length);
     choreographer.dance_to_rows(music, &options(number), &CancelToken::new(), progress)
 }
 

@@ -67,7 +67,7 @@ pub(super) const OPTIONS: [OptionSpec; 20] = [
     },
     OptionSpec {
         name: "candidates",
-        about: "Candidates for every two or three seconds of dance, of which that is taken whose beats lie nearest to the music's, less its share of frames that stand still; the cost grows with them. Default: the model's.",
+        about: "Candidates for every two to four seconds of dance, of which that is taken whose beats lie nearest to the music's, less its share of frames that stand still; the cost grows with them. Default: the model's.",
         accepts: Accepts::Integer {
             least: 1,
             most: MAX_CANDIDATES as u64,
@@ -76,7 +76,7 @@ pub(super) const OPTIONS: [OptionSpec; 20] = [
     },
     OptionSpec {
         name: "redo",
-        about: "Whether two or three seconds of dance in which the dancer stands still (of several candidates also: goes to the ground) are danced anew, up to three times and with at most 12 candidates in all. Default: the model's, and true with several candidates.",
+        about: "Whether two to four seconds of dance in which the dancer stands still (of several candidates also: goes to the ground) are danced anew, up to three times and with at most 12 candidates in all. Default: the model's, and true with several candidates.",
         accepts: Accepts::Boolean,
         read: |options, text| put(&mut options.redo, text),
     },
