@@ -10,9 +10,10 @@ WORKDIR /build
 RUN if [ "$(uname -m)" = aarch64 ]; then \
         printf '[env]\nJEMALLOC_SYS_WITH_LG_PAGE = "16"\n' > "$CARGO_HOME/config.toml"; \
     fi
-# The dependencies in a layer of their own: they change less often than the code.
+# The dependencies and the crates in a layer of their own: they change less often than the service.
 COPY Cargo.toml Cargo.lock ./
 COPY .cargo .cargo
+COPY crates crates
 COPY train/Cargo.toml train/
 RUN mkdir -p src benches train/src train/benches \
     && touch src/lib.rs benches/features.rs train/src/lib.rs train/benches/steps.rs \

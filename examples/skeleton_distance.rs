@@ -14,7 +14,7 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
-    format::Dance,
+    formats::Dance,
     motion::forward,
 };
 

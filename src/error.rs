@@ -2,7 +2,7 @@
 
 use crate::{
     audio::AudioError, codebook::CodebookError, engine::EngineError, evaluation::EvaluationError,
-    features::FeatureError, format::FormatError, model::ModelError, motion::MotionError,
+    features::FeatureError, formats::FormatError, model::ModelError, motion::MotionError,
 };
 
 /// Anything that can go wrong between a song and a dance.

@@ -1,14 +1,14 @@
 //! What the fuzz targets and the tests of their corpora do with bytes from a stranger, and what must
 //! hold whatever the bytes are. Each function says whether it could use them. Not a part of the library.
 
-use std::{io::Cursor, time::Duration};
+use std::time::Duration;
 
 use crate::{
     CancelToken,
     audio::{self, AudioError, AudioLimits, AudioRange},
     engine::{DEFAULT_BATCH, GenerationOptions},
-    format::OutputFormat,
-    model::{Manifest, embedded},
+    formats::OutputFormat,
+    model::{Manifest, graph_is_accepted},
     server::options::RequestOptions,
 };
 
@@ -104,5 +104,5 @@ pub fn manifest(bytes: &[u8]) -> bool {
 /// them.
 #[must_use]
 pub fn graph(bytes: &[u8]) -> bool {
-    embedded::check_bytes(Cursor::new(bytes), bytes.len() as u64).is_ok()
+    graph_is_accepted(bytes)
 }

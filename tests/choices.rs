@@ -9,19 +9,17 @@
 
 #[path = "common/demo.rs"]
 mod demo;
-#[path = "audio/writers.rs"]
-#[allow(dead_code, reason = "each test uses its part")]
-mod writers;
 
 use bailando::{
     CancelToken,
     engine::GenerationOptions,
     evaluation::{Motion, speed},
-    format::Dance,
+    formats::Dance,
     motion::{beat_nearness, dance_beats, slow_share},
 };
-use demo::{choreographer, fixture};
-use writers::wav16;
+use bailando_testkit::song as fixture;
+use bailando_testkit::wav::wav16;
+use demo::choreographer;
 
 const FPS: f64 = 60.0;
 

@@ -7,8 +7,6 @@
     reason = "helpers of tests: failing loudly is their job"
 )]
 
-mod common;
-
 use std::{
     path::{Path, PathBuf},
     process::{Command, Output},

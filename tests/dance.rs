@@ -8,10 +8,6 @@
     reason = "helpers of tests: failing loudly is their job"
 )]
 
-#[path = "audio/writers.rs"]
-#[allow(dead_code, reason = "other tests use the rest of it")]
-mod writers;
-
 #[path = "common/demo.rs"]
 mod demo;
 
@@ -24,12 +20,13 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{GenerationOptions, Listener, Opening, Progress},
-    format::{BvhUnit, Dance, JsonOptions, OutputFormat, Tail},
+    formats::{BvhUnit, Dance, JsonOptions, OutputFormat, Tail},
     motion::{Positions, forward, lower_foot_heights},
 };
-use demo::{choreographer, fixture};
+use bailando_testkit::song as fixture;
+use bailando_testkit::wav::wav16;
+use demo::choreographer;
 use ndarray::{Array2, Axis};
-use writers::wav16;
 
 const SONG_SECONDS: f64 = 30.0;
 const FPS: usize = 60;

@@ -6,13 +6,10 @@
     reason = "tests stop where something is not as it should be"
 )]
 
-#[path = "fuzz_corpus/files.rs"]
-mod files;
-
 use std::{fs, path::Path};
 
 use bailando::{fuzzing, model::Manifest};
-use files::Corpus;
+use bailando_testkit::corpus::Corpus;
 
 fn corpus(target: &str) -> Corpus {
     Corpus::read(

@@ -8,7 +8,7 @@ use crate::{
     audio::{self, AudioLimits, AudioRange},
     engine::{Choreographer, GenerationOptions},
     features::Rate,
-    format::{BvhUnit, to_bvh},
+    formats::{BvhUnit, to_bvh},
 };
 
 /// Bytes of a sample.

@@ -12,7 +12,7 @@ use super::{
 use crate::{
     CancelToken, Result,
     engine::{Choreographer, EngineError, GenerationOptions},
-    format::Codes,
+    formats::Codes,
 };
 
 /// Dances at once.

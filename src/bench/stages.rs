@@ -10,7 +10,7 @@ use crate::{
     audio::{self, AudioLimits, AudioRange},
     engine::{Choreographer, GenerationOptions},
     features::{FeatureExtractor, Profile, Rate},
-    format::{BvhUnit, to_bvh},
+    formats::{BvhUnit, to_bvh},
 };
 
 /// The seed of all dances.

@@ -10,7 +10,7 @@ use anyhow::Context;
 use bailando::{
     Error,
     codebook::{Catalogue, Half, Order, Uses},
-    format::Codes,
+    formats::Codes,
     model::ModelDirectory,
     npy::read_array,
 };

@@ -13,7 +13,7 @@ use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange},
     engine::{Choreographer, EngineConfig, GenerationOptions, MAX_CANDIDATES},
-    format::{Codes, Dance, Tail},
+    formats::{Codes, Dance, Tail},
     model::WindowKind,
     motion,
     npy::read_array,

@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    format::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
+    formats::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
     motion::Positions,
 };
 use clap::ValueEnum;

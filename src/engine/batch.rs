@@ -20,7 +20,7 @@ use super::{
     sessions::Sessions,
     worker::Job,
 };
-use crate::{CancelToken, Result, format::Codes, model::GptMemory};
+use crate::{CancelToken, Result, formats::Codes, model::GptMemory};
 
 /// Requests in the making, and the model that makes them.
 pub(crate) struct Batch {

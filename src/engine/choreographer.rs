@@ -18,7 +18,7 @@ use super::{
 use crate::{
     CancelToken, Result,
     audio::AudioLimits,
-    format::{Codes, Dance, Tail, Timings},
+    formats::{Codes, Dance, Tail, Timings},
     model::{Manifest, ModelDirectory},
     motion::{self, FinishOptions, Finisher, Positions, PositionsSource},
 };

@@ -3,7 +3,7 @@
 use ndarray::{Array2, Axis, Slice};
 
 use super::{chunks::Chunk, error::of_model};
-use crate::{CancelToken, Result, format::Codes, model::Decoder, motion::ToWorld};
+use crate::{CancelToken, Result, formats::Codes, model::Decoder, motion::ToWorld};
 
 /// Frames over which a dance that goes on from another leaves that one's last pose. The decoder did not know
 /// what would follow when it made that pose, and does now.

@@ -1,7 +1,7 @@
 //! Which codes are decoded together: chunks that overlap, so that motion is the same as at once, with bounded
 //! memory and while later codes are still unknown.
 
-use crate::format::Codes;
+use crate::formats::Codes;
 
 /// Codes decoded per chunk besides the overlap, which is a sixth of the work then; memory does not grow
 /// with the song.

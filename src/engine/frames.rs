@@ -22,7 +22,7 @@ use super::{
 };
 use crate::{
     Result,
-    format::Codes,
+    formats::Codes,
     model::{Decoder, Manifest, ModelError},
     motion::ToWorld,
 };

@@ -3,7 +3,7 @@
 use super::{EngineError, MAX_SEED, worker::branches};
 use crate::{
     audio::AudioRange,
-    format::Tail,
+    formats::Tail,
     model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, Vocabulary, WindowKind},
     motion,
 };

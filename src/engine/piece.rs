@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     Result,
-    format::Codes,
+    formats::Codes,
     model::{Gpt, GptMemory, Logits, Manifest, ModelError, NextStep, Steps},
 };
 

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use ndarray::Array2;
 
 use crate::{
-    format::{MusicInfo, Timings},
+    formats::{MusicInfo, Timings},
     motion::{Finisher, PositionsSource, Skeleton},
 };
 

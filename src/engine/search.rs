@@ -10,7 +10,7 @@ use ndarray::{Array2, ArrayView1, ArrayView2, Axis};
 use super::{error::of_model, window::Window};
 use crate::{
     CancelToken, Result,
-    format::Codes,
+    formats::Codes,
     model::{Decoder, Manifest},
     motion::{beat_meeting, dance_beats, joint_speed, slow_share},
 };

@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     CancelToken, Error, Result,
-    format::Codes,
+    formats::Codes,
     model::{Gpt, ModelDirectory, ModelError, Steps, Vocabulary, WindowKind},
     motion::{MotionFrame, ToWorld},
 };

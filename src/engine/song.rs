@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     CancelToken, Result,
-    format::{MusicInfo, Timings},
+    formats::{MusicInfo, Timings},
     model::Manifest,
 };
 

@@ -2,7 +2,7 @@
 
 use super::{GenerationOptions, worker::Outcome};
 use crate::{
-    format::{Codes, Tail},
+    formats::{Codes, Tail},
     model::ModelDirectory,
 };
 

@@ -21,7 +21,7 @@ use super::{
     sessions::Sessions,
     window::Window,
 };
-use crate::{CancelToken, Result, format::Codes, model::ModelDirectory};
+use crate::{CancelToken, Result, formats::Codes, model::ModelDirectory};
 
 /// Codes that lead into a dance that goes on from another.
 pub(crate) const LEAD_IN: usize = 1;

@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 use super::{config::Limits, state::Generate};
 use crate::{
     audio::Container,
-    format::OutputFormat,
+    formats::OutputFormat,
     model::{Manifest, WindowKind},
     motion::FRAME_RATES,
 };

@@ -16,7 +16,7 @@ use super::{
     upload,
     watch::{Phase, Presence, Watch},
 };
-use crate::format::OutputFormat;
+use crate::formats::OutputFormat;
 
 /// What becomes of an upload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

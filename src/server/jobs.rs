@@ -17,7 +17,7 @@ use super::{
     options::RequestOptions,
     watch::Watch,
 };
-use crate::format::{Dance, OutputFormat};
+use crate::formats::{Dance, OutputFormat};
 
 /// Where jobs are kept: in memory for now.
 pub(crate) trait JobStore: Send + Sync {

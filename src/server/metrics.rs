@@ -19,7 +19,7 @@ use prometheus_client::{
 };
 
 use super::process::ProcessCollector;
-use crate::{engine::Observer, format::Timings};
+use crate::{engine::Observer, formats::Timings};
 
 /// One label of a value that is known beforehand; one, and three, of any.
 type One = [(&'static str, &'static str); 1];

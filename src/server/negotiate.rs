@@ -3,7 +3,7 @@
 use axum::http::{HeaderMap, header};
 
 use super::{error::ServerError, options::shorten};
-use crate::format::OutputFormat;
+use crate::formats::OutputFormat;
 
 /// How an answer is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

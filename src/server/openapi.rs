@@ -11,7 +11,7 @@ use super::{
     routes::{codes, generate, jobs, probes, stream},
     state::SharedState,
 };
-use crate::format::{DoneJson, FramesJson, StartJson};
+use crate::formats::{DoneJson, FramesJson, StartJson};
 
 #[derive(OpenApi)]
 #[openapi(

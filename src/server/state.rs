@@ -24,7 +24,7 @@ use super::{
 use crate::{
     CancelToken, Result,
     engine::{Choreographer, Ending, EngineError, GenerationOptions, Listener, Progress},
-    format::Dance,
+    formats::Dance,
     model::Manifest,
     motion::Positions,
 };

@@ -20,7 +20,7 @@ use crate::{
     Error,
     audio::AudioError,
     engine::{Ending, GenerationOptions, Listener},
-    format::{Dance, OutputFormat},
+    formats::{Dance, OutputFormat},
 };
 
 /// What the engine is asked for.

@@ -22,9 +22,3 @@ pub(crate) fn choreographer() -> &'static Choreographer {
         .unwrap()
     })
 }
-
-/// A file of the audio fixtures.
-pub(crate) fn fixture(name: &str) -> Vec<u8> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/audio");
-    std::fs::read(folder.join(name)).unwrap()
-}

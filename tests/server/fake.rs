@@ -16,7 +16,7 @@ use bailando::{
         DEFAULT_BATCH, Ending, EngineError, GenerationOptions, Listener, Opening, Progress, Stage,
     },
     features::Profile,
-    format::{Codes, Dance, MusicInfo, PositionsSource, Tail, Timings},
+    formats::{Codes, Dance, MusicInfo, PositionsSource, Tail, Timings},
     model::{
         DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
         SuppressedCodes, Vocabulary, WeightStorage, WindowKind,

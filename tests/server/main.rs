@@ -21,5 +21,3 @@ mod real;
 mod streaming;
 mod surface;
 mod uploads;
-#[path = "../audio/writers.rs"]
-mod writers;

@@ -12,7 +12,7 @@ use axum::{Router, http::StatusCode};
 use bailando::{
     CancelToken,
     engine::{Choreographer, Ending, EngineError, GenerationOptions, Listener, Progress, Stage},
-    format::Dance,
+    formats::Dance,
     model::Manifest,
     motion::Positions,
     server::{Access, Generate, Limits, ServerConfig, router},
@@ -20,10 +20,11 @@ use bailando::{
 use bytes::Bytes;
 use serde_json::Value;
 
+use bailando_testkit::wav::{SilentFlac, wav, wav_declaring, wav16};
+
 use crate::{
     client::{Answer, form, get, post, raw, send},
     streaming::{in_lines, lines},
-    writers::{SilentFlac, wav, wav_declaring, wav16},
 };
 
 /// One model for all tests: it takes a while to load.

@@ -11,7 +11,7 @@ mod common;
 use bailando::{
     CancelToken,
     codebook::{Catalogue, Half, Order, Uses},
-    format::Codes,
+    formats::Codes,
     model::ModelDirectory,
 };
 use common::imported;

@@ -6,13 +6,11 @@
     reason = "tests stop where something is not as it should be"
 )]
 
-#[path = "../../tests/fuzz_corpus/files.rs"]
-mod files;
-
 use std::path::Path;
 
 #[test]
 fn checkpoints() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus");
-    files::Corpus::read(&folder, "checkpoint").run(2_000, bailando_train::fuzzing::checkpoint);
+    bailando_testkit::corpus::Corpus::read(&folder, "checkpoint")
+        .run(2_000, bailando_train::fuzzing::checkpoint);
 }

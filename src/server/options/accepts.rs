@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::format::Tail;
+use crate::formats::Tail;
 use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
 
 /// What an option accepts.

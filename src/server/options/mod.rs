@@ -12,7 +12,7 @@ use super::error::ServerError;
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    format::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat, Tail},
+    formats::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat, Tail},
     model::WindowKind,
 };
 
@@ -186,7 +186,7 @@ pub(crate) fn shorten(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{engine::MAX_SEED, format::Codes};
+    use crate::{engine::MAX_SEED, formats::Codes};
 
     fn query(text: &str) -> Result<RequestOptions, String> {
         let uri = format!("/generate?{text}").parse().unwrap();

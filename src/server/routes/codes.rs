@@ -13,7 +13,7 @@ use utoipa::ToSchema;
 
 use crate::{
     engine::EngineError,
-    format::{CodePoseJson, pose_json},
+    formats::{CodePoseJson, pose_json},
     model::SuppressedCodes,
     server::{
         error::{ErrorBody, ServerError},

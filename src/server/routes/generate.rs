@@ -9,7 +9,7 @@ use axum::{
 };
 
 use crate::{
-    format::{Dance, DanceJson, OutputFormat, Timings},
+    formats::{Dance, DanceJson, OutputFormat, Timings},
     server::{
         body::IncomingBody,
         envelope::time_header,
@@ -139,7 +139,7 @@ impl Rendered {
             body,
             format,
             seed: dance.seed,
-            tail: dance.tail.as_ref().map(crate::format::Tail::to_text),
+            tail: dance.tail.as_ref().map(crate::formats::Tail::to_text),
             timings: dance.timings,
             warnings: dance.warnings.clone(),
             room,

@@ -6,7 +6,7 @@ use tokio::time::{Instant, sleep_until};
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use crate::{
-    format::Dance,
+    formats::Dance,
     server::{
         error::ServerError,
         intake::Order,

@@ -16,7 +16,7 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use crate::{
-    format::DanceJson,
+    formats::DanceJson,
     server::{
         access::Client,
         body::IncomingBody,

@@ -10,7 +10,7 @@ use tokio::{sync::mpsc, time::Instant};
 use super::Opened;
 use crate::{
     engine::{Ending, Listener, Opening, Progress, Stage},
-    format::{FormatError, JsonOptions, Start, done_event, frames_event, start_event},
+    formats::{FormatError, JsonOptions, Start, done_event, frames_event, start_event},
     motion::{Finished, Finisher, MotionError},
     server::{
         error::{ErrorEvent, ServerError},

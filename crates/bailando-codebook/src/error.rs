@@ -1,0 +1,21 @@
+//! Why a codebook could not be shown.
+
+use bailando_model::ModelError;
+use bailando_motion::MotionError;
+
+/// Why a codebook could not be shown.
+#[derive(Debug, thiserror::Error)]
+pub enum CodebookError {
+    /// A dance uses codes that the model does not have, or not in pairs.
+    #[error("{0}")]
+    Codes(String),
+    /// The decoder failed.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The decoded motion is not usable.
+    #[error(transparent)]
+    Motion(#[from] MotionError),
+    /// A sheet could not be drawn.
+    #[error("the sheet can't be drawn: {0}")]
+    Draw(String),
+}

@@ -1,0 +1,71 @@
+//! What resampling and features are both made of.
+
+/// Does `work` with the widest vector instructions that this machine has.
+///
+/// What is inlined into `work` is compiled once more for them, and they are looked for when the program runs. The
+/// results are the same bit for bit: sums keep their order, and products are rounded before they are added.
+#[inline(always)]
+pub fn vectorised<T>(work: impl FnOnce() -> T) -> T {
+    pulp::Arch::new().dispatch(work)
+}
+
+/// Products that [`dot`] sums side by side.
+pub const LANES: usize = 32;
+
+/// Modified Bessel function of the first kind and order zero, by its power series.
+pub fn bessel_i0(x: f64) -> f64 {
+    let quarter = x * x / 4.0;
+    let (mut sum, mut term, mut k) = (1.0, 1.0, 1.0);
+    while term > 1e-17 * sum {
+        term *= quarter / (k * k);
+        sum += term;
+        k += 1.0;
+    }
+    sum
+}
+
+/// Sum of products over the shorter length, in independent lanes so that it vectorises.
+pub fn dot(a: &[f32], b: &[f32]) -> f32 {
+    vectorised(
+        #[inline(always)]
+        || dot_inlined(a, b),
+    )
+}
+
+#[inline(always)]
+fn dot_inlined(a: &[f32], b: &[f32]) -> f32 {
+    let length = a.len().min(b.len());
+    let (a_lanes, a_rest) = a[..length].as_chunks::<LANES>();
+    let (b_lanes, b_rest) = b[..length].as_chunks::<LANES>();
+    let mut sums = [0.0_f32; LANES];
+    for (a, b) in a_lanes.iter().zip(b_lanes) {
+        for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
+            *sum += a * b;
+        }
+    }
+    let rest: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f32>() + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bessel_matches_known_values() {
+        assert_eq!(bessel_i0(0.0), 1.0);
+        assert!((bessel_i0(1.0) - 1.266_065_877_752_008_4).abs() < 1e-15);
+        assert!((bessel_i0(10.0) / 2_815.716_628_466_254 - 1.0).abs() < 1e-14);
+    }
+
+    #[test]
+    fn products_are_summed_over_the_shorter_length() {
+        let a: Vec<f32> = (0..53).map(|i| (i as f32 * 0.7).sin()).collect();
+        let b: Vec<f32> = (0..61).map(|i| (i as f32 * 1.1).cos()).collect();
+        for length in [0, 1, 15, 16, 17, 32, 53] {
+            let direct: f32 = a[..length].iter().zip(&b).map(|(a, b)| a * b).sum();
+            assert!((dot(&a[..length], &b) - direct).abs() < 1e-5, "{length}");
+            assert_eq!(dot(&a[..length], &b), dot(&b, &a[..length]));
+        }
+    }
+}

@@ -1,0 +1,301 @@
+//! Harmonic and percussive part by median filtering (FEATURES section 4).
+//!
+//! One pass over the song: only the frames under the median along time are held, and what is rebuilt takes the place of samples that
+//! no frame needs any more.
+
+use std::ops::Range;
+
+use rustfft::num_complex::Complex;
+
+use super::{
+    HOP,
+    istft::{FrameOf, OverlapAdd},
+    median::{LANES, SlidingMedians, WINDOW},
+    padding::{Padding, mirror_between_samples},
+    row_count,
+    stft::{BINS, Stft, magnitudes},
+};
+use bailando_core::dsp::vectorised;
+
+const HALF_WINDOW: usize = WINDOW / 2;
+// The window of one frame and the frame that has just left it.
+const HELD_FRAMES: usize = WINDOW + 1;
+/// Bins that each of the windows along frequency slides over.
+const SEGMENT: usize = BINS.div_ceil(LANES);
+/// Bins of all of them; what is beyond [`BINS`] is nobody's.
+const WHOLE_LANES: usize = SEGMENT * LANES;
+
+/// Splits a signal; both parts add up to it.
+pub(super) struct Separator {
+    stft: Stft,
+    silent_tail: bool,
+    held_spectra: Vec<Complex<f32>>,
+    held_magnitudes: Vec<f32>,
+    along_time: SlidingMedians,
+    /// A frame as the median along frequency sees it, both ends mirrored.
+    mirrored: Vec<f32>,
+    along_frequency: SlidingMedians,
+    percussive_median: Vec<f32>,
+    masked: Vec<Complex<f32>>,
+    harmonic: OverlapAdd,
+    percussive: OverlapAdd,
+}
+
+impl Separator {
+    /// `silent_tail`: samples behind the middle of the last frame are zero (FEATURES section 11.3).
+    pub(super) fn new(padding: Padding, silent_tail: bool) -> Self {
+        Self {
+            stft: Stft::hann(padding),
+            silent_tail,
+            held_spectra: vec![Complex::default(); HELD_FRAMES * BINS],
+            held_magnitudes: vec![0.0; HELD_FRAMES * WHOLE_LANES],
+            along_time: SlidingMedians::new(WHOLE_LANES),
+            mirrored: vec![0.0; HALF_WINDOW + WHOLE_LANES + HALF_WINDOW],
+            along_frequency: SlidingMedians::new(LANES),
+            percussive_median: vec![0.0; WHOLE_LANES],
+            masked: vec![Complex::default(); BINS],
+            harmonic: OverlapAdd::new(),
+            percussive: OverlapAdd::new(),
+        }
+    }
+
+    /// Leaves the percussive part of `signal` in its place and writes the other to `harmonic`, as long, where it is asked
+    /// for. Shows the magnitudes of each frame, in order, to `on_magnitudes`, which says whether to go on: if
+    /// not, the rest stays as it is.
+    pub(super) fn split(
+        &mut self,
+        signal: &mut [f32],
+        mut harmonic: Option<&mut [f32]>,
+        mut on_magnitudes: impl FnMut(usize, &[f32]) -> bool,
+    ) {
+        let count = row_count(signal.len());
+        let mut analysed = 0;
+        let mut goes_on = true;
+        for index in 0..count {
+            while analysed < count.min(index + HALF_WINDOW + 1) {
+                self.analyse(signal, analysed);
+                goes_on &= on_magnitudes(analysed, self.magnitudes_of(analysed));
+                analysed += 1;
+            }
+            if !goes_on {
+                break;
+            }
+            self.slide_along_time(index, count);
+            self.slide_along_frequency(index);
+            let frame = FrameOf { index, count };
+            if let Some(harmonic_part) = harmonic.as_deref_mut() {
+                self.mask(index, |harmonic, percussive| {
+                    soft_mask(harmonic, percussive)
+                });
+                self.harmonic.push(&self.masked, frame, harmonic_part);
+            }
+            self.mask(index, |harmonic, percussive| {
+                soft_mask(percussive, harmonic)
+            });
+            // It completes samples half a window of frames before those that the next frame begins with.
+            self.percussive.push(&self.masked, frame, signal);
+        }
+        if self.silent_tail {
+            for part in [Some(signal), harmonic].into_iter().flatten() {
+                if let Some(tail) = part.get_mut(HOP * (count - 1)..) {
+                    tail.fill(0.0);
+                }
+            }
+        }
+    }
+
+    fn analyse(&mut self, pcm: &[f32], frame: usize) {
+        let spectrum = &mut self.held_spectra[spectrum_range(frame)];
+        self.stft.frame(pcm, frame * HOP, spectrum);
+        let held = &mut self.held_magnitudes[magnitudes_range(frame)];
+        magnitudes(spectrum, &mut held[..BINS]);
+    }
+
+    fn magnitudes_of(&self, frame: usize) -> &[f32] {
+        &self.held_magnitudes[magnitudes_range(frame)][..BINS]
+    }
+
+    fn slide_along_time(&mut self, frame: usize, frames: usize) {
+        let magnitudes = |index: isize| {
+            let frame = mirror_between_samples(index, frames);
+            &self.held_magnitudes[magnitudes_range(frame)]
+        };
+        let (frame, half) = (frame as isize, HALF_WINDOW as isize);
+        if frame == 0 {
+            self.along_time
+                .fill(|index| magnitudes(index as isize - half));
+        } else {
+            self.along_time
+                .exchange(magnitudes(frame - half - 1), magnitudes(frame + half));
+        }
+    }
+
+    /// The windows begin a segment apart and slide over one each.
+    fn slide_along_frequency(&mut self, frame: usize) {
+        self.mirror(frame);
+        let mirrored = &self.mirrored;
+        let lanes = |index: usize| -> [f32; LANES] {
+            std::array::from_fn(|lane| mirrored[lane * SEGMENT + index])
+        };
+        self.along_frequency.fill(lanes);
+        for step in 0..SEGMENT {
+            if step > 0 {
+                self.along_frequency
+                    .exchange(&lanes(step - 1), &lanes(step + WINDOW - 1));
+            }
+            for (lane, &median) in self.along_frequency.medians().iter().enumerate() {
+                self.percussive_median[lane * SEGMENT + step] = median;
+            }
+        }
+    }
+
+    fn mirror(&mut self, frame: usize) {
+        let row = &self.held_magnitudes[magnitudes_range(frame)];
+        let (before, rest) = self.mirrored.split_at_mut(HALF_WINDOW);
+        let (inside, after) = rest.split_at_mut(BINS);
+        inside.copy_from_slice(&row[..BINS]);
+        for (value, bin) in before.iter_mut().rev().zip(1_isize..) {
+            *value = row[mirror_between_samples(-bin, BINS)];
+        }
+        for (value, bin) in after.iter_mut().zip(BINS as isize..) {
+            *value = row[mirror_between_samples(bin, BINS)];
+        }
+    }
+
+    fn mask(&mut self, frame: usize, mask: impl Fn(f32, f32) -> f32) {
+        let spectrum = &self.held_spectra[spectrum_range(frame)];
+        vectorised(
+            #[inline(always)]
+            || {
+                for (((masked, &bin), &harmonic), &percussive) in self
+                    .masked
+                    .iter_mut()
+                    .zip(spectrum)
+                    .zip(self.along_time.medians())
+                    .zip(&self.percussive_median)
+                {
+                    *masked = bin * mask(harmonic, percussive);
+                }
+            },
+        );
+    }
+}
+
+/// Where a frame's spectrum lies in the ring of held frames.
+fn spectrum_range(frame: usize) -> Range<usize> {
+    let start = (frame % HELD_FRAMES) * BINS;
+    start..start + BINS
+}
+
+/// Where its magnitudes lie in theirs.
+fn magnitudes_range(frame: usize) -> Range<usize> {
+    let start = (frame % HELD_FRAMES) * WHOLE_LANES;
+    start..start + WHOLE_LANES
+}
+
+/// Share of `part` against `other`, by power; half each where there is nothing.
+fn soft_mask(part: f32, other: f32) -> f32 {
+    let larger = part.max(other);
+    if larger < f32::MIN_POSITIVE {
+        return 0.5;
+    }
+    let (part, other) = (part / larger, other / larger);
+    let (part, other) = (part * part, other * other);
+    part / (part + other)
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    pub(crate) fn noise(samples: usize) -> Vec<f32> {
+        let mut state = 7_u32;
+        (0..samples)
+            .map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 8) as f32 / 8_388_608.0 - 1.0
+            })
+            .collect()
+    }
+
+    #[test]
+    fn masks_share_by_power() {
+        assert_eq!(soft_mask(0.0, 0.0), 0.5);
+        assert_eq!(soft_mask(3.0, 0.0), 1.0);
+        assert!((soft_mask(1.0, 2.0) - 0.2).abs() < 1e-7);
+    }
+
+    #[test]
+    fn the_parts_add_up_to_the_signal() {
+        // Shorter than, about as long as, and longer than the median's window.
+        for samples in [1_100, 15_000, 40_000] {
+            let pcm = noise(samples);
+            let mut separator = Separator::new(Padding::Zeros, false);
+            let (mut percussive, mut harmonic) = (pcm.clone(), vec![0.0; samples]);
+            separator.split(&mut percussive, Some(&mut harmonic), |_, _| true);
+            for ((h, p), x) in harmonic.iter().zip(&percussive).zip(&pcm) {
+                assert!((h + p - x).abs() < 5e-6);
+            }
+            let mut alone = pcm;
+            separator.split(&mut alone, None, |_, _| true);
+            assert_eq!(alone, percussive);
+        }
+    }
+
+    #[test]
+    fn both_medians_equal_sorting_at_every_cell() {
+        for samples in [1_100, 9_000, 24_000] {
+            let pcm = noise(samples);
+            let frames = row_count(samples);
+            let mut separator = Separator::new(Padding::Zeros, false);
+            let mut rows = Vec::new();
+            separator.split(&mut pcm.clone(), None, |_, row| {
+                rows.push(row.to_vec());
+                true
+            });
+            assert_eq!(rows.len(), frames);
+            let sorted_median = |mut values: Vec<f32>| {
+                values.sort_by(f32::total_cmp);
+                values[HALF_WINDOW]
+            };
+            let mut analysed = 0;
+            for frame in 0..frames {
+                while analysed < frames.min(frame + HALF_WINDOW + 1) {
+                    separator.analyse(&pcm, analysed);
+                    analysed += 1;
+                }
+                separator.slide_along_time(frame, frames);
+                separator.slide_along_frequency(frame);
+                for bin in [0_usize, 1, 14, 15, 500, 1_010, 1_023, 1_024] {
+                    let window = -15_isize..=15;
+                    let along_time = window
+                        .clone()
+                        .map(|d| rows[mirror_between_samples(frame as isize + d, frames)][bin])
+                        .collect();
+                    assert_eq!(
+                        separator.along_time.medians()[bin],
+                        sorted_median(along_time)
+                    );
+                    let along_frequency = window
+                        .map(|d| rows[frame][mirror_between_samples(bin as isize + d, BINS)])
+                        .collect();
+                    assert_eq!(
+                        separator.percussive_median[bin],
+                        sorted_median(along_frequency)
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_older_profile_ends_in_zeros() {
+        let (mut percussive, mut harmonic) = (noise(5_000), vec![0.0; 5_000]);
+        let mut separator = Separator::new(Padding::Reflect, true);
+        separator.split(&mut percussive, Some(&mut harmonic), |_, _| true);
+        for part in [percussive, harmonic] {
+            assert!(part[4_608..].iter().all(|&x| x == 0.0));
+            assert!(part[4_600..4_608].iter().any(|&x| x != 0.0));
+        }
+    }
+}

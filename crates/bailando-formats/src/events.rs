@@ -1,0 +1,167 @@
+//! The parts of a dance that is sent while it is made (API.md, `POST /generate/stream`).
+
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::{
+    Codes, Encoding, FormatError, JsonOptions, MusicInfo, Tail, Timings,
+    json::{CodesJson, MusicJson, SkeletonJson, SourceJson, TimingsJson},
+    numbers::{Block, Numbers, PoseNumbers, RootNumbers},
+};
+use bailando_motion::{Finished, PositionsSource, Skeleton};
+
+/// What is known before the first frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Start<'a> {
+    /// Name of the model.
+    pub model: &'a str,
+    /// The seed that is used.
+    pub seed: u64,
+    /// Frames per second.
+    pub fps: u32,
+    /// Frames of the whole dance.
+    pub frames: usize,
+    /// Rest skeleton.
+    pub skeleton: &'a Skeleton,
+    /// Tempo and beats, when asked for.
+    pub music: Option<&'a MusicInfo>,
+    /// Wall time of what is done.
+    pub timings: Timings,
+    /// What was trimmed, truncated or assumed.
+    pub warnings: &'a [String],
+    /// Where positions come from.
+    pub positions_source: PositionsSource,
+}
+
+/// First event of a stream: what is known before the first frame.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = StartEvent)]
+pub struct StartJson<'a> {
+    /// `start`.
+    event: &'static str,
+    /// Name of the model.
+    model: &'a str,
+    /// The seed that is used.
+    seed: u64,
+    /// Frames per second.
+    fps: u32,
+    /// Frames of the whole dance.
+    frames: usize,
+    /// `frames / fps`.
+    duration_s: f64,
+    skeleton: SkeletonJson<'a>,
+    /// Absent unless asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    music: Option<MusicJson<'a>>,
+    timings_ms: TimingsJson,
+    /// What was trimmed, truncated or assumed, in plain words.
+    warnings: &'a [String],
+    positions_source: SourceJson,
+    /// How `positions`, `rotations` and `root` are written.
+    encoding: Encoding,
+}
+
+/// Some frames of a dance, in their order.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = FramesEvent)]
+pub struct FramesJson<'a> {
+    /// `frames`.
+    event: &'static str,
+    /// Number of the first of these frames.
+    first: usize,
+    /// How many these are.
+    count: usize,
+    /// World positions in metres, `[count][joints][x y z]`.
+    #[schema(value_type = PoseNumbers)]
+    positions: Numbers<'a>,
+    /// Local unit quaternions, `[count][joints][x y z w]`; only with `include=rotations`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<PoseNumbers>, nullable = false)]
+    rotations: Option<Numbers<'a>>,
+    /// World position of the root joint in metres, `[count][x y z]`; only with `include=rotations`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<RootNumbers>, nullable = false)]
+    root: Option<Numbers<'a>>,
+}
+
+/// Last event of a stream that went well.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = DoneEvent)]
+pub struct DoneJson<'a> {
+    /// `done`.
+    event: &'static str,
+    /// Frames that were sent.
+    frames: usize,
+    codes: CodesJson<'a>,
+    /// The option `continue_from` of a dance that is to go on from the end of this one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    tail: Option<String>,
+    timings_ms: TimingsJson,
+}
+
+/// The first event of a stream, as JSON.
+///
+/// # Errors
+/// None that is known; writing JSON is fallible by its type.
+pub fn start_event(start: &Start<'_>, options: &JsonOptions) -> Result<Vec<u8>, FormatError> {
+    Ok(serde_json::to_vec(&StartJson {
+        event: "start",
+        model: start.model,
+        seed: start.seed,
+        fps: start.fps,
+        frames: start.frames,
+        duration_s: start.frames as f64 / f64::from(start.fps.max(1)),
+        skeleton: start.skeleton.into(),
+        music: start.music.map(MusicJson::from),
+        timings_ms: start.timings.into(),
+        warnings: start.warnings,
+        positions_source: start.positions_source.into(),
+        encoding: options.encoding,
+    })?)
+}
+
+/// The frames of `part`, of which `first` came before, as JSON.
+///
+/// # Errors
+/// [`FormatError::Inconsistent`] for a value that is no finite number.
+pub fn frames_event(
+    part: &Finished,
+    first: usize,
+    options: &JsonOptions,
+) -> Result<Vec<u8>, FormatError> {
+    if part.positions.iter().any(|value| !value.is_finite()) {
+        return Err(FormatError::Inconsistent("a value is not finite".into()));
+    }
+    let numbers = |block| Numbers::new(block, options.encoding);
+    let wanted = |block| options.rotations.then(|| numbers(block));
+    let animation = &part.animation;
+    Ok(serde_json::to_vec(&FramesJson {
+        event: "frames",
+        first,
+        count: animation.root.len(),
+        positions: numbers(Block::Positions(part.positions.view())),
+        rotations: wanted(Block::Rotations(&animation.rotations)),
+        root: wanted(Block::Root(&animation.root)),
+    })?)
+}
+
+/// The last event of a stream, as JSON.
+///
+/// # Errors
+/// As [`start_event`].
+pub fn done_event(
+    frames: usize,
+    codes: &Codes,
+    tail: Option<&Tail>,
+    timings: Timings,
+) -> Result<Vec<u8>, FormatError> {
+    Ok(serde_json::to_vec(&DoneJson {
+        event: "done",
+        frames,
+        codes: codes.into(),
+        tail: tail.map(Tail::to_text),
+        timings_ms: timings.into(),
+    })?)
+}

@@ -1,0 +1,211 @@
+//! One ONNX session, and a run that a cancel token can interrupt.
+
+use std::{fmt, path::Path, sync::Arc};
+
+use ndarray::{Array2, Array3, ArrayView, ArrayView2, Axis, Dimension, Ix3};
+use ort::{
+    ep,
+    session::{RunOptions, Session, SessionInputValue, SessionOutputs},
+    value::{DynValue, Tensor},
+};
+
+use super::{ModelError, embedded, runtime};
+use bailando_core::CancelToken;
+
+/// Named inputs of a run.
+pub(super) type Inputs<'value> = Vec<(String, SessionInputValue<'value>)>;
+
+/// A loaded graph.
+#[derive(Debug)]
+pub(super) struct Graph {
+    name: &'static str,
+    session: Session,
+}
+
+impl Graph {
+    /// Loads the graph at `path`; `name` appears in errors. Where few shapes come again and again, their
+    /// memory is kept for the next run; else it would only grow.
+    pub(super) fn open(
+        name: &'static str,
+        path: &Path,
+        threads: usize,
+        keeps_memory: bool,
+    ) -> Result<Self, ModelError> {
+        embedded::check(path)?;
+        let environment = runtime::environment()?;
+        let build = || -> ort::Result<Session> {
+            Session::builder(environment)?
+                .with_intra_threads(threads)?
+                .with_inter_threads(1)?
+                .with_memory_pattern(keeps_memory)?
+                .with_intra_op_spinning(false)?
+                // Without VNNI, sums of unsigned times signed bytes saturate: unsigned ones do not.
+                .with_config_entry("session.x64quantprecision", "1")?
+                .with_execution_providers([ep::CPU::default()
+                    .with_arena_allocator(keeps_memory)
+                    .build()])?
+                .commit_from_file(path)
+        };
+        let session = build().map_err(|e| ModelError::Graph {
+            path: path.to_path_buf(),
+            problem: one_line(&e),
+        })?;
+        Ok(Self { name, session })
+    }
+
+    /// Checks that the graph has exactly the named inputs.
+    pub(super) fn expect_inputs(&self, path: &Path, expected: &[String]) -> Result<(), ModelError> {
+        let mut found: Vec<_> = self
+            .session
+            .inputs()
+            .iter()
+            .map(|i| i.name().to_owned())
+            .collect();
+        let mut expected = expected.to_vec();
+        found.sort();
+        expected.sort();
+        if found == expected {
+            return Ok(());
+        }
+        Err(ModelError::Mismatch {
+            path: path.to_path_buf(),
+            what: "the graph's list of inputs",
+            expected: expected.join(" "),
+            found: found.join(" "),
+        })
+    }
+
+    /// Runs the graph and hands its outputs to `read`. Cancellation interrupts the run.
+    pub(super) fn run<T>(
+        &mut self,
+        inputs: Inputs<'_>,
+        cancel: &CancelToken,
+        read: impl FnOnce(&mut SessionOutputs<'_>) -> Result<T, ModelError>,
+    ) -> Result<T, ModelError> {
+        let graph = self.name;
+        let failed = |e: ort::Error| ModelError::Run {
+            graph,
+            problem: one_line(&e),
+        };
+        let options = Arc::new(RunOptions::new().map_err(failed)?);
+        let guard = cancel.interruptible({
+            let options = Arc::clone(&options);
+            move || {
+                // The only failure is a null handle, which cannot be; the token is checked anyway.
+                let _ = options.terminate();
+            }
+        });
+        let result = self.session.run_with_options(inputs, &options);
+        drop(guard);
+        if cancel.is_cancelled() {
+            return Err(ModelError::Cancelled);
+        }
+        read(&mut result.map_err(failed)?)
+    }
+}
+
+/// A tensor of 64-bit integers from rows of codes, `[rows, n]`.
+pub(super) fn integer_rows(
+    graph: &'static str,
+    values: ArrayView2<'_, u32>,
+) -> Result<DynValue, ModelError> {
+    let shape = [values.nrows(), values.ncols()];
+    let values: Vec<i64> = values.iter().map(|&value| i64::from(value)).collect();
+    tensor(graph, Tensor::from_array((shape, values)))
+}
+
+/// A tensor of 64-bit integers from codes or positions, `[1, n]`.
+pub(super) fn integers(
+    graph: &'static str,
+    values: impl Iterator<Item = i64>,
+) -> Result<DynValue, ModelError> {
+    let values: Vec<i64> = values.collect();
+    tensor(graph, Tensor::from_array(([1, values.len()], values)))
+}
+
+/// A tensor of 64-bit integers, `[n, 1]`.
+pub(super) fn integer_columns(
+    graph: &'static str,
+    values: Vec<i64>,
+) -> Result<DynValue, ModelError> {
+    tensor(graph, Tensor::from_array(([values.len(), 1], values)))
+}
+
+/// A tensor of floats that owns a copy of `values`.
+pub(super) fn floats<D: Dimension>(
+    graph: &'static str,
+    values: ArrayView<'_, f32, D>,
+) -> Result<DynValue, ModelError> {
+    let shape = values.shape().to_vec();
+    tensor(
+        graph,
+        Tensor::from_array((shape, values.iter().copied().collect::<Vec<f32>>())),
+    )
+}
+
+pub(super) fn tensor<T: ort::value::PrimitiveTensorElementType + std::fmt::Debug>(
+    graph: &'static str,
+    result: ort::Result<Tensor<T>>,
+) -> Result<DynValue, ModelError> {
+    result.map(Tensor::into_dyn).map_err(|e| ModelError::Run {
+        graph,
+        problem: one_line(&e),
+    })
+}
+
+/// Takes the named output out of a run.
+pub(super) fn take(
+    graph: &'static str,
+    outputs: &mut SessionOutputs<'_>,
+    name: &str,
+) -> Result<DynValue, ModelError> {
+    outputs.remove(name).ok_or_else(|| ModelError::Run {
+        graph,
+        problem: format!("it has no output named {name}"),
+    })
+}
+
+/// Takes the named output `[1, rows, columns]` out of a run, as `[rows, columns]`.
+pub(super) fn take_matrix(
+    graph: &'static str,
+    outputs: &mut SessionOutputs<'_>,
+    name: &str,
+    rows: usize,
+) -> Result<Array2<f32>, ModelError> {
+    let array = take_matrices(graph, outputs, name, [1, rows])?;
+    Ok(array.index_axis_move(Axis(0), 0))
+}
+
+/// Takes the named output `[batch, rows, columns]` out of a run.
+pub(super) fn take_matrices(
+    graph: &'static str,
+    outputs: &mut SessionOutputs<'_>,
+    name: &str,
+    expected: [usize; 2],
+) -> Result<Array3<f32>, ModelError> {
+    let value = take(graph, outputs, name)?;
+    let wrong = |problem: String| ModelError::Run { graph, problem };
+    let array = value
+        .try_extract_array::<f32>()
+        .map_err(|e| wrong(one_line(&e)))?;
+    let array = array
+        .into_dimensionality::<Ix3>()
+        .map_err(|e| wrong(one_line(&e)))?;
+    let (batch, rows, _) = array.dim();
+    if [batch, rows] != expected {
+        let [batch, rows] = expected;
+        let found = array.dim();
+        let problem = format!("{name} has shape {found:?}, expected {batch} times {rows} rows");
+        return Err(wrong(problem));
+    }
+    Ok(array.to_owned())
+}
+
+/// ONNX Runtime's reasons run over several lines; ours are one.
+pub(super) fn one_line(error: &impl fmt::Display) -> String {
+    error
+        .to_string()
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ")
+}

@@ -1,0 +1,31 @@
+//! Why a skeleton or motion is not usable.
+
+/// Why a skeleton or motion is not usable.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MotionError {
+    /// The skeleton's tables contradict each other.
+    #[error("skeleton: {0}")]
+    Skeleton(String),
+    /// An array does not have the expected shape.
+    #[error("expected {expected}, got {got}")]
+    Shape {
+        /// What was expected.
+        expected: String,
+        /// What was found.
+        got: String,
+    },
+    /// The motion holds a NaN or an infinity.
+    #[error("the motion is not finite at frame {frame}, joint {joint}")]
+    NotFinite {
+        /// First frame concerned.
+        frame: usize,
+        /// First joint concerned in that frame.
+        joint: usize,
+    },
+    /// The frame rate is not one of those offered.
+    #[error("fps {got} is not available: choose one of 20, 24, 30, 60")]
+    FrameRate {
+        /// What was asked for.
+        got: u32,
+    },
+}
