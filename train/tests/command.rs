@@ -237,24 +237,3 @@ fn failures_are_one_line_and_leave_nothing() {
     let left = std::fs::read_dir(folder.path()).unwrap().count();
     assert_eq!(left, 4, "only the inputs are left");
 }
-
-#[test]
-fn a_model_of_two_trainings_is_refused() {
-    let test = "a_model_of_two_trainings_is_refused";
-    let Some(bootstrap) = common::shared(test, "model/bootstrap") else {
-        return;
-    };
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("model");
-    let output = import_from(
-        &fixture("tiny_vqvae.pt"),
-        &bootstrap.join("gpt.pt"),
-        &out,
-        &["--heads", "8"],
-    );
-    assert_eq!(
-        failure(&output, folder.path()),
-        "error: the GPT has 256 upper codes, but the VQ-VAE's codebook has 16: are they of the same \
-         model?\n"
-    );
-}

@@ -328,6 +328,23 @@ mod tests {
     }
 
     #[test]
+    fn weights_of_half_precision_are_stored_without_loss() {
+        let mut graph = GraphBuilder::new("g", WeightStorage::F16);
+        let weights: Vec<f32> = (0..64)
+            .map(|i| f16::from_f32((i as f32).sin()).to_f32())
+            .collect();
+        graph.weight("w", &Tensor::from_fn(vec![64], |i| weights[i]));
+        let model = proto::Model::decode(&*graph.finish().unwrap()).unwrap();
+        let stored = &model.graph.unwrap().initializer[0];
+        assert_eq!(stored.data_type, proto::FLOAT16);
+        let bytes = stored.raw_data.as_chunks::<2>().0.iter();
+        let found: Vec<f32> = bytes
+            .map(|&bytes| f16::from_le_bytes(bytes).to_f32())
+            .collect();
+        assert_eq!(found, weights);
+    }
+
+    #[test]
     fn a_written_model_decodes_to_what_was_built() {
         let mut graph = GraphBuilder::new("g", WeightStorage::F32);
         let x = graph.input("x", Element::Float, &[Dim::Named("n"), Dim::Fixed(2)]);
