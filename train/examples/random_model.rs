@@ -12,7 +12,7 @@ use bailando::{
     motion::MotionFrame,
 };
 use bailando_train::{
-    Tensor,
+    HostTensor,
     export::{Description, PUBLISHED_HOP, write_model_directory},
     onnx::InputRanges,
     weights::{
@@ -79,10 +79,10 @@ impl Noise {
     }
 
     /// Values within `scale` of zero.
-    fn tensor(&mut self, shape: &[usize], scale: f32) -> anyhow::Result<Tensor> {
+    fn tensor(&mut self, shape: &[usize], scale: f32) -> anyhow::Result<HostTensor> {
         let count = shape.iter().product();
         let data = (0..count).map(|_| scale * self.next()).collect();
-        Ok(Tensor::new(shape.to_vec(), data)?)
+        Ok(HostTensor::new(shape.to_vec(), data)?)
     }
 
     /// Small enough to keep activations bounded: variance one over the number of inputs.
@@ -111,8 +111,8 @@ impl Noise {
 
 fn layer_norm() -> anyhow::Result<LayerNorm> {
     Ok(LayerNorm {
-        weight: Tensor::new(vec![CHANNELS], vec![1.0; CHANNELS])?,
-        bias: Tensor::new(vec![CHANNELS], vec![0.0; CHANNELS])?,
+        weight: HostTensor::new(vec![CHANNELS], vec![1.0; CHANNELS])?,
+        bias: HostTensor::new(vec![CHANNELS], vec![0.0; CHANNELS])?,
     })
 }
 

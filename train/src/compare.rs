@@ -1,4 +1,4 @@
-//! How much a model loses by quantisation: it and its original foretell the same recordings.
+//! Loss of a model by quantisation: it and its original predict the same recordings.
 
 use std::{fmt, path::PathBuf};
 
@@ -30,7 +30,7 @@ pub struct CompareOptions {
 /// Two models beside each other, true codes given before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Codes of both halves that were foretold.
+    /// Codes of both halves that were predicted.
     pub codes: usize,
     /// Share of codes that both hold for the likeliest.
     pub same_likeliest: f64,
@@ -61,7 +61,8 @@ impl fmt::Display for Comparison {
         )?;
         writeln!(
             f,
-            "\nOf {} codes {:.3} % are the likeliest to both, {:.3} % are drawn by both; divergence {:.2e} nats",
+            "\nOf {} codes {:.3} % are the likeliest to both, {:.3} % are drawn by both; \
+             divergence {:.2e} nats",
             self.codes,
             100.0 * self.same_likeliest,
             100.0 * self.same_drawn,

@@ -1,5 +1,5 @@
-//! Whether a model hears: how much worse it foretells a recording's codes with other music than with
-//! the right one (METRICS, "Music gap").
+//! Conditioning on the music: how much worse a model predicts a recording's codes with other music
+//! than with the right one (METRICS, "Music gap").
 
 use std::{fmt, path::PathBuf};
 
@@ -30,7 +30,7 @@ pub struct MusicGapOptions {
 pub struct MusicGap {
     /// Pieces measured.
     pub pieces: usize,
-    /// Codes of each half that were foretold with the right music.
+    /// Codes of each half that were predicted with the right music.
     pub codes: usize,
     /// With the right music.
     pub right_music: f64,

@@ -1,20 +1,12 @@
 //! The codebook of the golden model as numbers, as sheets and as a page.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
+use crate::common::imported;
 use bailando::{
     CancelToken,
     codebook::{Catalogue, Half, Order, Uses},
     format::Codes,
     model::ModelDirectory,
 };
-use common::imported;
 use ndarray::Array2;
 use serde_json::Value;
 use tempfile::TempDir;

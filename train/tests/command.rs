@@ -1,19 +1,12 @@
 //! The command line as a person meets it: help, exit codes, one-line errors.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
+use crate::common;
 use std::{
     path::Path,
     process::{Command, Output},
 };
 
-use common::fixture;
+use crate::common::fixture;
 
 fn train(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_bailando-train"))

@@ -1,22 +1,15 @@
-//! Dances of a run that has no export, through the real binary.
+//! Motions of a run that has no export, through the real binary.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-#[path = "../src/data/testing.rs"]
-mod testing;
-
+use crate::testing;
 use std::{
     fs,
     path::Path,
     process::{Command, Output},
 };
 
+use crate::testing::TestFolder;
 use bailando_train::export::skeleton;
 use ndarray::Array3;
-use testing::TestFolder;
 
 fn train(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_bailando-train"))

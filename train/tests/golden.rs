@@ -1,16 +1,11 @@
 //! Single runs of the three graphs against the golden vectors (ARCHITECTURE section 5). Sampling
 //! itself is the engine's: here every window is given.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
 use std::{path::Path, sync::Arc};
 
+use crate::common::{
+    HEADS, TOLERANCE, assert_close, codes, fixture, floats, imported, options, rows, shared,
+};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
@@ -18,14 +13,11 @@ use bailando::{
     model::{Gpt, KvCache, Logits, ModelDirectory, Steps, WeightStorage, WindowKind},
 };
 use bailando_train::{
-    Tensor,
-    checkpoint::Checkpoint,
+    HostTensor,
+    checkpoint::TorchCheckpoint,
     export::write_model_directory,
     onnx::InputRanges,
     weights::{GptWeights, VqVaeWeights},
-};
-use common::{
-    HEADS, TOLERANCE, assert_close, codes, fixture, floats, imported, options, rows, shared,
 };
 use ndarray::{Array1, Array2, Axis};
 
@@ -356,12 +348,12 @@ fn the_engine_repeats_the_golden_codes() {
 
 #[test]
 fn a_model_of_two_trainings_is_refused() {
-    let checkpoint = |name: &str| Checkpoint::open(&fixture(name)).unwrap();
+    let checkpoint = |name: &str| TorchCheckpoint::open(&fixture(name)).unwrap();
     let vqvae = VqVaeWeights::from_checkpoint(&mut checkpoint("tiny_vqvae.pt")).unwrap();
     let mut gpt = GptWeights::from_checkpoint(&mut checkpoint("tiny_gpt.pt"), HEADS).unwrap();
     for table in [&mut gpt.upper_embedding, &mut gpt.upper_head] {
         let twice = [table.data(), table.data()].concat();
-        *table = Tensor::new(vec![32, table.dim(1)], twice).unwrap();
+        *table = HostTensor::new(vec![32, table.dim(1)], twice).unwrap();
     }
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("model");

@@ -1,16 +1,6 @@
 //! `run` as the operating system may treat it: killed at points in time drawn at random, the real
 //! binary ends with the same files, byte for byte, as when nobody disturbs it.
 
-#![cfg(unix)]
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-#[path = "../src/data/testing.rs"]
-mod testing;
-
 use std::{
     collections::BTreeMap,
     fs,
@@ -22,6 +12,7 @@ use std::{
     time::{Duration, SystemTime},
 };
 
+use crate::testing::TestFolder;
 use bailando::{
     CancelToken,
     audio::AudioLimits,
@@ -33,7 +24,6 @@ use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},
 };
-use testing::TestFolder;
 use toml::{Table, Value};
 
 /// Stages, their tables of settings, and whether they measure a test loss.

@@ -1,13 +1,5 @@
 //! Stages on data folders of every layout, and what of them may reach a checkpoint.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-#[path = "../src/data/testing.rs"]
-mod testing;
-
 use std::{
     collections::BTreeMap,
     fs,
@@ -15,13 +7,13 @@ use std::{
     sync::{Mutex, MutexGuard},
 };
 
+use crate::testing::{FRAMES, TestFolder, clicks, dance};
 use bailando_train::{
     export::skeleton,
     training::{Config, Limits, Load, MotionFrame, MotionSet, Outcome, Stage, train},
 };
 use safetensors::SafeTensors;
 use serde_json::json;
-use testing::{FRAMES, TestFolder, clicks, dance};
 
 const STAGES: [(Stage, Load, &str); 3] = [
     (Stage::VqVae, Load::Motion, "vqvae"),

@@ -134,7 +134,8 @@ pub enum Problem {
     StorageList(usize),
     /// The tensor's offset, shape and strides lie outside its storage.
     #[error(
-        "shape {shape:?} with strides {strides:?} at {offset} lies outside its storage of {values} values"
+        "shape {shape:?} with strides {strides:?} at {offset} lies outside its storage of {values} \
+         values"
     )]
     OutsideStorage {
         /// Shape.

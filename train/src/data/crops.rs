@@ -1,4 +1,4 @@
-//! Which crops an epoch is made of, and which music rows lie beside them.
+//! The crops of an epoch, and the music rows beside them.
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{FRAMES_PER_CODE, PHASES};
 
-/// How dances are cut (ARCHITECTURE section 6: 240 frames; stride 40 for the VQ-VAE, 8 for root
+/// How motions are cut (ARCHITECTURE section 6: 240 frames; stride 40 for the VQ-VAE, 8 for root
 /// branch and GPT).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CropPlan {
@@ -19,59 +19,60 @@ pub struct CropPlan {
     pub mirror: bool,
 }
 
-/// What can be drawn of a dance.
+/// Choices of a crop of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Choice {
     /// Frames; for training with music, those that have music ([`common_frames`]).
     pub frames: usize,
-    /// Frames at its start that are in no crop.
+    /// Frames at the start that are in no crop.
     pub skipped: usize,
     /// Songs; none for motion alone.
     pub songs: usize,
-    /// Start phases to draw from: 1 keeps the dance as it is, [`PHASES`] moves code boundaries to
+    /// Start phases to draw from: 1 keeps the motion as it is, [`PHASES`] moves code boundaries to
     /// every frame.
     pub phases: usize,
 }
 
-/// One crop of a dance.
+/// One crop of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Draw {
-    /// Which dance.
+    /// The motion.
     pub dance: usize,
-    /// Which of the dance's songs.
+    /// The song out of the motion's songs.
     pub song: usize,
-    /// Frames cut off the dance (and as much time off the song) before anything else.
+    /// Frames cut off the motion (and as much time off the song) before anything else.
     pub phase: usize,
-    /// First frame of the crop in the dance so cut.
+    /// First frame of the crop in the motion after that cut.
     pub start: usize,
     /// Whether the crop is mirrored.
     pub mirrored: bool,
 }
 
-/// Starts of the crops of a motion of `frames` frames; none when it is shorter than one crop.
+/// Returns the starts of the crops of a motion of `frames` frames; none when it is shorter than one
+/// crop.
 pub fn crop_starts(frames: usize, length: usize, stride: usize) -> impl Iterator<Item = usize> {
     let starts = (frames + 1).saturating_sub(length);
     (0..starts).step_by(stride.max(1))
 }
 
-/// Music rows beside the pose codes `codes` of a dance: row `k + 1` goes with code `k`
+/// Returns the music rows beside the pose codes `codes` of a motion: row `k + 1` goes with code `k`
 /// (ARCHITECTURE section 3: the reference drops the first row).
 #[must_use]
 pub fn rows_beside(codes: Range<usize>) -> Range<usize> {
     codes.start + 1..codes.end + 1
 }
 
-/// Frames of a dance that have music: all codes in them have their row.
+/// Returns the frames of a motion that have music: all codes in them have their row.
 ///
 /// `rows` is the number of conditioning rows of the whole song. It holds for every start phase,
-/// since dance and song lose the same time. For a dance with several songs take the smallest.
+/// since motion and song lose the same time. With several songs take the smallest.
 #[must_use]
 pub fn common_frames(frames: usize, rows: usize) -> usize {
     frames.min(rows.saturating_sub(1) * FRAMES_PER_CODE)
 }
 
 impl CropPlan {
-    /// Crops of one round over all dances.
+    /// Counts the crops of one round over all motions.
     #[must_use]
     pub fn crops(&self, dances: &[Choice]) -> usize {
         dances.iter().map(|dance| self.starts(dance).count()).sum()
@@ -82,9 +83,9 @@ impl CropPlan {
         crop_starts(dance.frames, self.frames, self.stride).filter(move |&start| start >= skipped)
     }
 
-    /// The crops of a round in random order, the same for the same seed and round: each dance gives
-    /// each of its crops once, with a song, a start phase and a side drawn for each. A crop that a
-    /// phase pushes over the dance's end moves back by a code.
+    /// Draws the crops of a round in random order, the same for the same seed and round: each
+    /// motion gives each of its crops once, with a random song, start phase and side. A crop that a
+    /// phase pushes over the motion's end moves back by a code.
     #[must_use]
     pub fn round(&self, dances: &[Choice], seed: u64, round: u64) -> Vec<Draw> {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
@@ -111,15 +112,15 @@ impl CropPlan {
 }
 
 impl Draw {
-    /// The crop's frames in the dance as it is stored.
+    /// Returns the crop's frames in the stored motion.
     #[must_use]
     pub fn frames(&self, length: usize) -> Range<usize> {
         let start = self.phase + self.start;
         start..start + length
     }
 
-    /// The crop's pose codes, counted from the start of the dance after the cut. Only crops that
-    /// start on a code boundary have whole codes: the stride must be a multiple of 8.
+    /// Returns the crop's pose codes, counted from the start of the motion after the cut. Only
+    /// crops that start on a code boundary have whole codes: the stride must be a multiple of 8.
     #[must_use]
     pub fn codes(&self, length: usize) -> Range<usize> {
         let first = self.start / FRAMES_PER_CODE;

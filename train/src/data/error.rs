@@ -20,7 +20,8 @@ pub enum DataError {
         source: std::io::Error,
     },
     /// A file is far larger than anything of its kind.
-    #[error("{}: {bytes} bytes are more than the {limit} that such a file may have", path.display())]
+    #[error("{}: {bytes} bytes are more than the {limit} that such a file may \
+             have", path.display())]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -39,7 +40,8 @@ pub enum DataError {
     },
     /// The folder has none of the known layouts.
     #[error(
-        "{}: no training data here: expected index.json, or JSON files with dance_array, or .pkl motions (also in motions/)",
+        "{}: no training data here: expected index.json, or JSON files with dance_array, or .pkl \
+         motions (also in motions/)",
         .0.display()
     )]
     Layout(PathBuf),
@@ -103,7 +105,8 @@ pub enum DataError {
     },
     /// The same motion is in both splits.
     #[error(
-        "`{train}` (train) and `{test}` (test) are the same motion: a model would be judged by what it has seen"
+        "`{train}` (train) and `{test}` (test) are the same motion: a model would be judged by \
+         what it has seen"
     )]
     Leak {
         /// A file of the training split.

@@ -12,7 +12,8 @@ use crate::onnx::GraphError;
 pub enum ExportError {
     /// The GPT and the VQ-VAE do not belong together.
     #[error(
-        "the GPT has {gpt} {half} codes, but the VQ-VAE's codebook has {codebook}: are they of the same model?"
+        "the GPT has {gpt} {half} codes, but the VQ-VAE's codebook has {codebook}: are they of the \
+         same model?"
     )]
     Vocabulary {
         /// `upper` or `lower`.
@@ -24,7 +25,8 @@ pub enum ExportError {
     },
     /// The root's decoder is not one of the frame that the motion is said to be in.
     #[error(
-        "the root's decoder gives {found} columns, but motion in the {} frame has {expected}: is the frame right?",
+        "the root's decoder gives {found} columns, but motion in the {} frame has {expected}: is \
+         the frame right?",
         match frame { MotionFrame::World => "world's", MotionFrame::Dancer => "dancer's" }
     )]
     Frame {
@@ -42,10 +44,12 @@ pub enum ExportError {
     #[error("manifest.json: {0}")]
     Manifest(serde_json::Error),
     /// The directory is already there.
-    #[error("{} is already there: choose another directory, or replace the model in it with --force", .0.display())]
+    #[error("{} is already there: choose another directory, or replace the model in it with \
+             --force", .0.display())]
     Exists(PathBuf),
     /// The directory is no model's and will not be replaced.
-    #[error("{} holds something that is not a model directory: it will not be replaced", .0.display())]
+    #[error("{} holds something that is not a model directory: it will not be \
+             replaced", .0.display())]
     NotAModel(PathBuf),
     /// The path does not end in a name.
     #[error("{} is not a place for a new directory", .0.display())]

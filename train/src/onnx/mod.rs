@@ -9,12 +9,13 @@ mod encoder;
 mod gpt;
 mod proto;
 mod quantise;
+mod ranges;
 mod receptive;
 
 pub use decoder::decoder_graph;
 pub use encoder::encoder_graph;
 pub use gpt::gpt_graph;
-pub use quantise::InputRanges;
+pub use ranges::InputRanges;
 pub use receptive::receptive_codes;
 
 /// Why a graph could not be written.

@@ -117,4 +117,9 @@ impl TrainError {
         let path = path.to_owned();
         move |source| Self::File { path, source }
     }
+
+    pub(super) fn state(path: &Path) -> impl FnOnce(String) -> Self {
+        let path = path.to_owned();
+        move |message| Self::State { path, message }
+    }
 }

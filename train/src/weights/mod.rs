@@ -1,5 +1,5 @@
-//! The networks' weights with their roles: what a checkpoint is turned into, and what the graph
-//! builders take. All sizes are read off the tensors' shapes and checked against each other.
+//! The networks' weights with their roles: read from checkpoints, written into graphs. All sizes
+//! are read off the tensors' shapes and checked against each other.
 
 mod gpt;
 mod source;
@@ -23,7 +23,8 @@ pub enum WeightError {
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The head count cannot be read off the tensors and the one given does not fit them.
-    #[error("{}: {channels} channels cannot be divided among {heads} heads: give the right count with --heads", path.display())]
+    #[error("{}: {channels} channels cannot be divided among {heads} heads: give the right count \
+             with --heads", path.display())]
     Heads {
         /// The checkpoint.
         path: PathBuf,

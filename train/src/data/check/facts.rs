@@ -1,4 +1,4 @@
-//! What a motion's numbers tell about it, measured without judging.
+//! Measures of a motion, without judgement.
 
 use bailando::motion::{Positions, Skeleton};
 use ndarray::ArrayView2;

@@ -1,5 +1,4 @@
-//! `check-data`: what is wrong with a folder of training data, in plain words, before hours are
-//! spent on it.
+//! `check-data`: finds mistakes in a folder of training data before hours are spent on it.
 
 mod beats;
 mod facts;
@@ -22,10 +21,10 @@ pub use report::{Report, SplitSummary};
 
 use super::{DataError, Dataset, MotionSource, OpenOptions, Piece, Split};
 
-/// How much is looked at.
+/// Extent of the checks.
 #[derive(Clone, Debug)]
 pub struct CheckOptions {
-    /// What the folder does not say itself.
+    /// Facts that the folder does not hold.
     pub open: OpenOptions,
     /// Songs that are decoded, spread evenly; all without a number.
     pub songs: Option<usize>,

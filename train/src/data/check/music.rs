@@ -15,16 +15,16 @@ use bailando::features::Rate;
 
 /// Root mean square below which a song is silence: -80 dB.
 const SILENCE: f64 = 1e-4;
-/// Detected beats are about 28 ms late by themselves (onset envelope, FEATURES section 8).
+/// Tracked beats are always about 28 ms late (onset envelope, FEATURES section 8).
 const DETECTOR_LATE_S: f64 = 0.028;
 /// Seconds by which a grid may be off.
 const GRID_TOLERANCE_S: f64 = 0.07;
-/// Seconds by which song and dance may differ in length.
+/// Seconds by which song and motion may differ in length.
 const LENGTH_TOLERANCE_S: f64 = 0.5;
 /// Frame rates that motions come in where they were not brought to 60.
 const OTHER_RATES: [f64; 6] = [24.0, 25.0, 30.0, 50.0, 100.0, 120.0];
 
-/// Checks all music; returns what was heard.
+/// Checks all music; returns the measures.
 pub(super) fn check(
     dataset: &Dataset,
     frames: &HashMap<&MotionSource, usize>,
@@ -120,7 +120,7 @@ fn check_length(
     }
     let id = &piece.id;
     let what = format!("{id}: the dance lasts {dance:.2} s, the song {seconds:.2} s");
-    // Elsewhere songs are whole and dances are parts of them.
+    // Elsewhere songs are whole and motions are parts of them.
     let cut_to_fit = dataset.layout == Layout::Folder;
     let rate = frames as f64 / seconds.max(1e-9);
     let other = OTHER_RATES

@@ -48,16 +48,16 @@ pub(super) fn check(
 }
 
 fn check_motions(dataset: &Dataset, findings: &mut Findings) {
-    let mut hashes: HashMap<&MotionSource, String> = HashMap::new();
+    let mut hashes: HashMap<&MotionSource, Option<String>> = HashMap::new();
     let mut by_content: BTreeMap<String, Names> = BTreeMap::new();
     for piece in &dataset.pieces {
         let hash = hashes.entry(&piece.motion).or_insert_with(|| {
             let file = std::fs::File::open(piece.motion.path());
             let hash = file.and_then(|mut file| file_sha256(&mut file));
             // Files that cannot be read are reported elsewhere.
-            hash.unwrap_or_default()
+            hash.ok()
         });
-        if !hash.is_empty() {
+        if let Some(hash) = hash {
             note(
                 by_content.entry(hash.clone()).or_default(),
                 piece.split,

@@ -116,56 +116,78 @@ impl Topic {
             Self::DuplicateId => (Unusable, "Several pieces have the same id.",
                 "Give every piece an id of its own."),
             Self::MissingFile => (Unusable, "Files that the data name are not there.",
-                "Copy the missing files into place (names are case-sensitive), or take the pieces out."),
+                "Copy the missing files into place (names are case-sensitive), or take the pieces \
+                 out."),
             Self::MotionFile => (Unusable, "Motion files cannot be read.",
                 "Motion is float32 [frames, 24, 3]; write or download the files again."),
             Self::AudioFile => (Unusable, "Songs, or the music rows of files, cannot be read.",
-                "Use wav, flac, mp3, ogg/vorbis or m4a/aac files that a player plays to their end."),
+                "Use wav, flac, mp3, ogg/vorbis or m4a/aac files that a player plays to their \
+                 end."),
             Self::NoTraining => (Unusable, "No piece can be used for training.",
                 "At least one piece needs the split train and 240 frames (4 s)."),
-            Self::Leak => (Unusable, "The same motion is in train and in test: the model would be judged by what it has learnt by heart.",
+            Self::Leak => (Unusable, "The same motion is in train and in test: the model would be \
+                                      judged by what it has learnt by heart.",
                 "Move every copy of a motion into one split."),
-            Self::NotFinite => (Unusable, "Motions hold values that are no numbers (NaN or infinite).",
+            Self::NotFinite => (Unusable, "Motions hold values that are no numbers (NaN or \
+                                           infinite).",
                 "Fill such gaps by interpolation, or cut the piece there."),
             Self::Units => (Unusable, "The body has not the size of a person in metres.",
                 "Multiply all positions by the factor given."),
-            Self::RootUnits => (Unusable, "The root's path has not the size of a dance floor in metres, though the body fits.",
-                "Bring the root into metres; with AIST++, check that smpl_trans is in centimetres and smpl_scaling about 93."),
+            Self::RootUnits => (Unusable, "The root's path has not the size of a dance floor in \
+                                           metres, though the body fits.",
+                "Bring the root into metres; with AIST++, check that smpl_trans is in centimetres \
+                 and smpl_scaling about 93."),
             Self::Axes => (Unusable, "The figures do not stand upright along +y.",
-                "Turn the data so that y points up and the system stays right-handed: from z up, (x, y, z) becomes (x, z, -y)."),
-            Self::DeclaredLength => (Unusable, "Motions have another length than the index declares.",
-                "Correct `frames` and `seconds`, or bring back the right file: the wrong one may belong to another song."),
+                "Turn the data so that y points up and the system stays right-handed: from z up, \
+                 (x, y, z) becomes (x, z, -y)."),
+            Self::DeclaredLength => (Unusable, "Motions have another length than the index \
+                                                declares.",
+                "Correct `frames` and `seconds`, or bring back the right file: the wrong one may \
+                 belong to another song."),
             Self::FrameRate => (Unusable, "Motions do not look like 60 frames a second.",
                 "Resample the motion to 60 frames a second."),
-            Self::AudioLength => (Warning, "Songs are not as long as their dances; only the common part is used.",
+            Self::AudioLength => (Warning, "Songs are not as long as their dances; only the common \
+                                            part is used.",
                 "Check that dance and song belong together and both start at the same moment."),
             Self::Silent => (Unusable, "Songs hold no sound.",
                 "Export the songs again."),
-            Self::Sides => (Warning, "Left and right look exchanged: the feet point backwards for these hips.",
-                "Swap the left and right joints, or negate one axis if the data come from a left-handed system."),
+            Self::Sides => (Warning, "Left and right look exchanged: the feet point backwards for \
+                                      these hips.",
+                "Swap the left and right joints, or negate one axis if the data come from a \
+                 left-handed system."),
             Self::BonesVary => (Warning, "Bones change their length along a dance.",
                 "Put the motion on a fixed skeleton; the model would learn the wobble."),
-            Self::BonesDiffer => (Warning, "Bones have other lengths than the skeleton's `offsets`.",
-                "Retarget the motion to the skeleton, or give the index the offsets of these dancers."),
+            Self::BonesDiffer => (Warning, "Bones have other lengths than the skeleton's \
+                                            `offsets`.",
+                "Retarget the motion to the skeleton, or give the index the offsets of these \
+                 dancers."),
             Self::Jumps => (Warning, "Joints jump faster than people move.",
                 "Look at these frames: they are tracking failures or cuts."),
-            Self::Still => (Warning, "Dances hardly move.",
+            Self::Still => (Warning, "Motions hardly move.",
                 "Take out pieces, or parts of them, where nobody dances."),
             Self::Floor => (Warning, "The standing foot is not near the floor y = 0.",
-                "Harmless for training, which sees the root's velocity alone; move the data so that feet stand at y = 0 before exporting a root height."),
-            Self::Short => (Warning, "Dances are shorter than one crop of 240 frames (4 s) and are not used.",
+                "Harmless for training, which sees the root's velocity alone; move the data so \
+                 that feet stand at y = 0 before exporting a root height."),
+            Self::Short => (Warning, "Motions are shorter than one crop of 240 frames (4 s) and \
+                                      are not used.",
                 "Join them, or take them out."),
-            Self::Grid => (Warning, "The beat grid does not go along with the beats heard in the song.",
-                "Check tempo and start of `grid_beats_s`, and that the audio belongs to the piece."),
-            Self::GridOffset => (Warning, "The beat grid is early or late against the beats heard in the song.",
+            Self::Grid => (Warning, "The beat grid does not go along with the beats heard in the \
+                                     song.",
+                "Check tempo and start of `grid_beats_s`, and that the audio belongs to the \
+                 piece."),
+            Self::GridOffset => (Warning, "The beat grid is early or late against the beats heard \
+                                           in the song.",
                 "Check that the audio starts at frame 0 (mp3 encoders put 25-50 ms in front)."),
             Self::NoBeats => (Warning, "No beats are heard in songs.",
                 "Check the files; music without a pulse teaches no timing."),
-            Self::StoredRows => (Warning, "music_array has 60 rows a second: enough for beat scores, but the GPT needs 7.5.",
+            Self::StoredRows => (Warning, "music_array has 60 rows a second: enough for beat \
+                                           scores, but the GPT needs 7.5.",
                 "Give the songs with --audio DIR, or the 7.5-row files in a folder `music`."),
-            Self::NoTest => (Warning, "No piece has the split test: there is nothing to judge the model by.",
+            Self::NoTest => (Warning, "No piece has the split test: there is nothing to judge the \
+                                       model by.",
                 "Keep some takes apart as test, with songs of their own."),
-            Self::SharedRecording => (Warning, "Variants of one recording are in train and in test.",
+            Self::SharedRecording => (Warning, "Variants of one recording are in train and in \
+                                                test.",
                 "Split by recording, not by piece."),
             Self::SharedSong => (Warning, "The same song is in train and in test.",
                 "Keep test songs out of train where dances are judged by unheard music."),

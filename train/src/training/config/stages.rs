@@ -2,13 +2,16 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{TrainingConfig, at_least_one, not_negative};
-use crate::training::{FRAMES_PER_CODE, reward::BeatReward};
+use super::{
+    checks::{at_least_one, not_negative},
+    optimiser::TrainingConfig,
+};
+use crate::{data::FRAMES_PER_CODE, training::reward::BeatReward};
 
 /// Which weights of a finished stage are used afterwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Keep {
+pub enum CheckpointPolicy {
     /// Those of the last step.
     Last,
     /// Those with the lowest test loss.
@@ -31,7 +34,7 @@ pub struct VqVaeConfig {
     pub restart_below: f64,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
-    pub keep: Keep,
+    pub checkpoint_policy: CheckpointPolicy,
 }
 
 impl VqVaeConfig {
@@ -66,7 +69,7 @@ pub struct VelocityConfig {
     pub speed_weight: f64,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
-    pub keep: Keep,
+    pub checkpoint_policy: CheckpointPolicy,
 }
 
 impl VelocityConfig {
@@ -82,7 +85,8 @@ impl VelocityConfig {
 fn check_crops(frames: usize, stride: usize) -> Result<(), String> {
     if frames == 0 || !frames.is_multiple_of(FRAMES_PER_CODE) || stride == 0 {
         return Err(format!(
-            "frames ({frames}) must be a multiple of {FRAMES_PER_CODE} and stride ({stride}) at least 1"
+            "frames ({frames}) must be a multiple of {FRAMES_PER_CODE} and stride ({stride}) at \
+             least 1"
         ));
     }
     Ok(())
@@ -109,7 +113,7 @@ pub struct GptConfig {
     pub standardise_music: bool,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
-    pub keep: Keep,
+    pub checkpoint_policy: CheckpointPolicy,
 }
 
 impl GptConfig {
@@ -150,7 +154,7 @@ impl GptConfig {
             return Err(format!("slip_share ({slip_share}) must lie in 0..=1"));
         }
         if *slip_share > 0.0 && self.slip_frames == 0 {
-            return Err("slip_frames must be at least 1 where there are slips".into());
+            return Err("slip_frames must be at least 1 where slip_share is not 0".into());
         }
         Ok(())
     }
@@ -162,8 +166,8 @@ impl GptConfig {
 pub enum Hear {
     /// All, as published.
     All,
-    /// Onsets, beats and counts. Few songs are told apart by timbre and harmony alone, and a new one
-    /// sounds like none of them.
+    /// Onsets, beats and counts. Timbre and harmony identify the few training songs, and a new
+    /// song is like none of them.
     Rhythm,
 }
 
