@@ -18,12 +18,15 @@ bailando=${BAILANDO:-target/release/bailando}
 trainer=${BAILANDO_TRAIN:-target/release/bailando-train}
 
 mkdir -p "$out"
+# The test pieces whose song is there: the set may keep all motions and only some of the songs.
 pieces() {
-    python3 -c 'import json, sys
-for piece in json.load(open(sys.argv[1]))["pieces"]:
-    if piece["split"] == "test":
-        print(piece["id"], piece["audio"])' "$data/index.json"
+    python3 -c 'import json, os, sys
+folder = sys.argv[1]
+for piece in json.load(open(f"{folder}/index.json"))["pieces"]:
+    if piece["split"] == "test" and os.path.exists(os.path.join(folder, piece["audio"])):
+        print(piece["id"], piece["audio"])' "$data"
 }
+[ -n "$(pieces)" ] || { echo "evaluate-melody: no test piece of $data has its song." >&2; exit 1; }
 
 # dance FOLDER CANDIDATES
 dance() {

@@ -89,9 +89,8 @@ fn motion_set(config: &Config) -> anyhow::Result<MotionSet> {
     });
     let piece = MotionPiece::from_positions(positions, config.data.frame)?;
     let song = SongRows::new(vec![Arc::new(music)]).context("a song")?;
-    Ok(MotionSet {
-        training: Motions::new(vec![piece.with_song(song)]),
-        test: None,
-        songs: Vec::new(),
-    })
+    Ok(MotionSet::new(
+        Motions::new(vec![piece.with_song(song)]),
+        None,
+    ))
 }

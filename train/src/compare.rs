@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::{
     data::{Portion, Split, SplitKind},
     encode::EncodeError,
-    held_out::{Listener, Recordings, cross_entropies, pairs},
+    held_out::{Predictor, Recordings, cross_entropies, pairs},
 };
 
 /// What to compare.
@@ -90,14 +90,14 @@ fn measure<S: SplitKind>(
     let original = ModelDirectory::open(&options.original)?;
     let model = ModelDirectory::open(&options.model)?;
     let pairs = pairs(portion, &original, options.recordings.cache.as_deref())?;
-    let mut listeners = [Listener::open(&original)?, Listener::open(&model)?];
+    let mut listeners = [Predictor::open(&original)?, Predictor::open(&model)?];
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut sums = Sums::default();
     for pair in &pairs {
         let [first, second] = &mut listeners;
         let rows = pair.rows.view();
-        let both = first.foretold(pair, rows)?.into_iter();
-        for ((one, codes), (other, _)) in both.zip(second.foretold(pair, rows)?) {
+        let both = first.predicted(pair, rows)?.into_iter();
+        for ((one, codes), (other, _)) in both.zip(second.predicted(pair, rows)?) {
             sums.add(&one.upper, &other.upper, codes[0], &mut random);
             sums.add(&one.lower, &other.lower, codes[1], &mut random);
         }

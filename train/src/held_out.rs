@@ -91,15 +91,15 @@ fn bpm(song: &Song) -> Option<f64> {
 }
 
 /// Scores of a window's codes, and the true upper and lower codes.
-pub(crate) type Foretold<'pair> = (Logits, [&'pair [u32]; 2]);
+pub(crate) type Prediction<'pair> = (Logits, [&'pair [u32]; 2]);
 
 /// Predicts codes from the true ones before them, in windows of the whole block.
-pub(crate) struct Listener {
+pub(crate) struct Predictor {
     gpt: Gpt,
     block: usize,
 }
 
-impl Listener {
+impl Predictor {
     pub(crate) fn open(directory: &ModelDirectory) -> Result<Self, ModelError> {
         Ok(Self {
             gpt: directory.gpt(1)?,
@@ -108,11 +108,11 @@ impl Listener {
     }
 
     /// Returns the scores of every window that has rows, beside the true codes.
-    pub(crate) fn foretold<'pair>(
+    pub(crate) fn predicted<'pair>(
         &mut self,
         pair: &'pair Pair,
         rows: ArrayView2<'_, f32>,
-    ) -> Result<Vec<Foretold<'pair>>, ModelError> {
+    ) -> Result<Vec<Prediction<'pair>>, ModelError> {
         let (block, cancel) = (self.block, CancelToken::new());
         let [upper, lower] = &pair.codes;
         // A window's last code is only predicted, and needs no row.
@@ -141,7 +141,7 @@ impl Listener {
         pair: &Pair,
         rows: ArrayView2<'_, f32>,
     ) -> Result<Vec<f64>, ModelError> {
-        let windows = self.foretold(pair, rows)?.into_iter();
+        let windows = self.predicted(pair, rows)?.into_iter();
         let entropies = windows.flat_map(|(logits, [upper, lower])| {
             let upper = cross_entropies(&logits.upper, upper);
             let lower = cross_entropies(&logits.lower, lower);

@@ -8,13 +8,9 @@ use std::{
 };
 
 use bailando::model::WeightStorage;
-use bailando_train::{
-    checkpoint::TorchCheckpoint,
-    onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph},
-    weights::{GptWeights, VqVaeWeights},
-};
+use bailando_train::onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph};
 
-use crate::common::{HEADS, fixture, floats, rows};
+use crate::common::{HEADS, fixture, floats, gpt, rows, vqvae};
 use ndarray::Array2;
 use ort::{environment::Environment, session::Session, value::Tensor};
 
@@ -44,11 +40,6 @@ fn session(graph: &[u8]) -> Session {
         .unwrap()
         .commit_from_memory(graph)
         .unwrap()
-}
-
-fn vqvae() -> VqVaeWeights {
-    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_vqvae.pt")).unwrap();
-    VqVaeWeights::from_checkpoint(&mut checkpoint).unwrap()
 }
 
 /// Upper codes, lower codes and music rows of one sequence.
@@ -116,8 +107,7 @@ fn run_gpt(session: &mut Session, sequences: &[&Sequence]) -> Vec<Vec<f32>> {
 
 #[test]
 fn a_batch_of_two_equals_two_single_runs() {
-    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_gpt.pt")).unwrap();
-    let weights = GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
+    let weights = gpt();
     let mut session =
         session(&gpt_graph(&weights, WeightStorage::F32, &InputRanges::default()).unwrap());
     let [first, second] = sequences();

@@ -4,7 +4,7 @@
 use crate::common;
 use std::{fs, path::Path, sync::Arc};
 
-use crate::common::{HEADS, assert_close, fixture, options};
+use crate::common::{assert_close, gpt, options, vqvae};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
@@ -15,11 +15,10 @@ use bailando::{
 };
 use bailando_train::{
     HostTensor,
-    checkpoint::TorchCheckpoint,
     export::{ExportError, write_model_directory},
     nn::{Codebook, DecoderNet, Parameters, Store},
     onnx::InputRanges,
-    weights::{Convolution, DecoderWeights, GptWeights, HALF_JOINTS, VqVaeWeights},
+    weights::{Convolution, DecoderWeights, HALF_JOINTS, VqVaeWeights},
 };
 use burn_flex::{Flex, FlexDevice};
 use burn_tensor::{Int, Tensor, TensorData};
@@ -27,11 +26,6 @@ use ndarray::Array2;
 
 /// Turns are summed over a whole piece, and their rounding with them.
 const TOLERANCE: f32 = 5e-4;
-
-fn vqvae() -> VqVaeWeights {
-    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_vqvae.pt")).unwrap();
-    VqVaeWeights::from_checkpoint(&mut checkpoint).unwrap()
-}
 
 /// The golden weights with a fourth row in the root's decoder, a turn to and fro.
 fn turning() -> VqVaeWeights {
@@ -50,8 +44,7 @@ fn turning() -> VqVaeWeights {
 }
 
 fn write(weights: &VqVaeWeights, frame: MotionFrame, out: &Path) -> Result<Manifest, ExportError> {
-    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_gpt.pt")).unwrap();
-    let gpt = GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
+    let gpt = gpt();
     let mut description = options(Path::new(""), Path::new(""), out).description;
     description.motion_frame = frame;
     write_model_directory(

@@ -1,22 +1,10 @@
 //! Motions of a run that has no export, through the real binary.
 
-use crate::testing;
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use crate::{common::train, testing, testing::TestFolder};
+use std::{fs, path::Path};
 
-use crate::testing::TestFolder;
 use bailando_train::export::skeleton;
 use ndarray::Array3;
-
-fn train(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_bailando-train"))
-        .args(arguments)
-        .output()
-        .unwrap()
-}
 
 #[test]
 fn a_run_with_separate_halves_dances_but_is_not_exported() {
@@ -59,7 +47,7 @@ fn a_run_with_separate_halves_dances_but_is_not_exported() {
     let refused = train(&["export", &config]);
     assert_eq!(
         String::from_utf8(refused.stderr).unwrap(),
-        "error: export: not with ablation.separate_halves (its dances: `bailando-train generate`)\n"
+        "error: export: not with ablation.separate_halves (generate its motion: `bailando-train generate`)\n"
     );
 
     let dance = |out: &str, seed: &str| -> Array3<f32> {

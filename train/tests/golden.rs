@@ -4,7 +4,7 @@
 use std::{path::Path, sync::Arc};
 
 use crate::common::{
-    HEADS, TOLERANCE, assert_close, codes, fixture, floats, imported, options, rows, shared,
+    self, TOLERANCE, assert_close, codes, fixture, floats, imported, options, rows, shared,
 };
 use bailando::{
     CancelToken,
@@ -12,13 +12,7 @@ use bailando::{
     engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
     model::{Gpt, KvCache, Logits, ModelDirectory, Steps, WeightStorage, WindowKind},
 };
-use bailando_train::{
-    HostTensor,
-    checkpoint::TorchCheckpoint,
-    export::write_model_directory,
-    onnx::InputRanges,
-    weights::{GptWeights, VqVaeWeights},
-};
+use bailando_train::{HostTensor, export::write_model_directory, onnx::InputRanges};
 use ndarray::{Array1, Array2, Axis};
 
 /// Longest history while sampling.
@@ -348,9 +342,7 @@ fn the_engine_repeats_the_golden_codes() {
 
 #[test]
 fn a_model_of_two_trainings_is_refused() {
-    let checkpoint = |name: &str| TorchCheckpoint::open(&fixture(name)).unwrap();
-    let vqvae = VqVaeWeights::from_checkpoint(&mut checkpoint("tiny_vqvae.pt")).unwrap();
-    let mut gpt = GptWeights::from_checkpoint(&mut checkpoint("tiny_gpt.pt"), HEADS).unwrap();
+    let (vqvae, mut gpt) = (common::vqvae(), common::gpt());
     for table in [&mut gpt.upper_embedding, &mut gpt.upper_head] {
         let twice = [table.data(), table.data()].concat();
         *table = HostTensor::new(vec![32, table.dim(1)], twice).unwrap();

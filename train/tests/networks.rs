@@ -1,11 +1,11 @@
 //! The networks of the trainer, filled from the golden checkpoints, against the golden vectors
 //! (ARCHITECTURE section 5), and back to the same weights.
 
-use crate::common::{HEADS, codes, fixture, floats};
+use crate::common::{HEADS, codes, fixture, floats, gpt, vqvae};
 use bailando_train::{
     checkpoint::TorchCheckpoint,
     nn::{Codebook, CriticNet, DecoderNet, GptNet, HalfNet, Parameters, Store},
-    weights::{CriticWeights, GptWeights, HALF_JOINTS, HalfWeights, VqVaeWeights},
+    weights::{CriticWeights, HALF_JOINTS, HalfWeights},
 };
 use burn_flex::{Flex, FlexDevice};
 use burn_tensor::{Int, Tensor, TensorData};
@@ -18,16 +18,6 @@ const BASE_LAYERS: usize = 2;
 
 fn device() -> FlexDevice {
     FlexDevice
-}
-
-fn vqvae() -> VqVaeWeights {
-    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_vqvae.pt")).unwrap();
-    VqVaeWeights::from_checkpoint(&mut checkpoint).unwrap()
-}
-
-fn gpt() -> GptWeights {
-    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_gpt.pt")).unwrap();
-    GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap()
 }
 
 fn indices(codes: &[u32]) -> Tensor<Flex, 1, Int> {

@@ -119,6 +119,7 @@ fn weights(folder: &Path) -> Vec<(String, Vec<u8>)> {
 // One test: stages are expensive to get to.
 #[test]
 fn rewards_move_the_policy() {
+    let _alone = crate::common::alone();
     let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let [first, second] = folders.each_ref().map(|folder| folder.path());
     let config = run_to_gpt(first);
@@ -243,6 +244,7 @@ fn adapts(config: &Config, folder: &Path) {
 /// From a data folder and an audio file to two model directories, by the commands themselves.
 #[test]
 fn commands_train_and_adapt() {
+    let _alone = crate::common::alone();
     let data = testing::TestFolder::good(&skeleton(0.93));
     data.write();
     let folder = tempfile::tempdir().unwrap();

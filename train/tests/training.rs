@@ -3,7 +3,7 @@
 
 use std::{fs, path::Path, sync::Arc};
 
-use crate::common::swinging;
+use crate::common::{self, swinging};
 use bailando::{CancelToken, model::ModelDirectory, model::Steps};
 use bailando_train::{
     nn::{Codebook, DecoderNet, GptNet, Parameters, Store},
@@ -40,11 +40,7 @@ fn motion_set() -> MotionSet {
         let piece = MotionPiece::from_positions(positions, MotionFrame::Dancer).unwrap();
         piece.with_song(song)
     };
-    MotionSet {
-        training: Motions::new([0.0, 0.7, 1.9].map(piece).into()),
-        test: None,
-        songs: Vec::new(),
-    }
+    MotionSet::new(Motions::new([0.0, 0.7, 1.9].map(piece).into()), None)
 }
 
 fn run(config: &Config, set: &MotionSet, stage: Stage, limits: Limits) -> Outcome {
@@ -59,9 +55,9 @@ fn losses(config: &Config, stage: &str) -> Vec<f32> {
         .collect()
 }
 
-// One test: the random generator of the CPU backend belongs to the process.
 #[test]
 fn a_run_learns_resumes_exactly_and_is_served() {
+    let _alone = common::alone();
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let [whole, broken] = [0, 1].map(|index| config(folders[index].path()));
     let set = motion_set();

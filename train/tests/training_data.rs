@@ -77,6 +77,7 @@ fn tensors(config: &Config, stage: &str) -> BTreeMap<String, Vec<u8>> {
 
 #[test]
 fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
+    let _alone = crate::common::alone();
     let _alone = alone();
     let folder = TestFolder::good(&skeleton(0.93));
     let out = tempfile::tempdir().unwrap();
@@ -101,6 +102,7 @@ fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
 
 #[test]
 fn nothing_of_the_test_split_reaches_a_checkpoint() {
+    let _alone = crate::common::alone();
     let _alone = alone();
     let folders = [0, 1].map(|_| TestFolder::good(&skeleton(0.93)));
     let absurd = dance(&skeleton(0.93), FRAMES, 9) * 1e6;
@@ -122,6 +124,7 @@ fn nothing_of_the_test_split_reaches_a_checkpoint() {
 
 #[test]
 fn the_references_files_train_with_their_own_rows() {
+    let _alone = crate::common::alone();
     let _alone = alone();
     let (data, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     for (split, seed) in [("train", 1), ("test", 2)] {
@@ -145,6 +148,7 @@ fn the_references_files_train_with_their_own_rows() {
 
 #[test]
 fn aist_dances_train_and_find_their_songs_in_a_folder_of_their_own() {
+    let _alone = crate::common::alone();
     let _alone = alone();
     let (folder, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let (root, songs) = (folder.path().join("aist"), folder.path().join("songs"));

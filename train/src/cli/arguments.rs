@@ -58,9 +58,8 @@ pub(super) enum Command {
 /// --reconstruct `<id>.npy` (float32 [frames, 24, 3]), which `bailando evaluate` measures.
 #[derive(Args, Debug)]
 pub(super) struct EncodeArguments {
-    /// Data folder of any layout
-    #[arg(value_name = "DIR")]
-    pub(super) data: PathBuf,
+    #[command(flatten)]
+    data: DataArguments,
 
     /// Model directory
     #[arg(long, default_value = "models/default", value_name = "DIR")]
@@ -102,9 +101,8 @@ pub(super) struct MusicGapArguments {
 /// The recordings that a model predicts.
 #[derive(Args, Debug)]
 struct RecordingsArguments {
-    /// Data folder of any layout, with songs
-    #[arg(value_name = "DIR")]
-    data: PathBuf,
+    #[command(flatten)]
+    data: DataArguments,
 
     /// Folder of the songs, where they are kept apart from the motions
     #[arg(long, value_name = "DIR")]
@@ -145,6 +143,25 @@ pub(super) struct CompareArguments {
 pub(super) enum SplitName {
     Train,
     Test,
+}
+
+/// A data folder, by its place or by its name.
+#[derive(Args, Debug)]
+struct DataArguments {
+    /// Data folder of any layout
+    #[arg(value_name = "DIR", required_unless_present = "data")]
+    folder: Option<PathBuf>,
+
+    /// The same by name, as the training commands take it
+    #[arg(long, value_name = "DIR", conflicts_with = "folder")]
+    data: Option<PathBuf>,
+}
+
+impl DataArguments {
+    #[expect(clippy::expect_used, reason = "clap requires one of them")]
+    fn folder(self) -> PathBuf {
+        self.folder.or(self.data).expect("a data folder")
+    }
 }
 
 /// The settings of a run, and folders that the command line replaces.
@@ -330,9 +347,8 @@ pub(super) struct ImportArguments {
   bailando-train check-data aist_plusplus_final --audio all_musics
   bailando-train check-data data/mine --json > report.json")]
 pub(super) struct CheckArguments {
-    /// Folder of training data
-    #[arg(value_name = "DIR")]
-    pub(super) folder: PathBuf,
+    #[command(flatten)]
+    data: DataArguments,
 
     /// Folder of the songs, where they are kept apart from the motions
     #[arg(long, value_name = "DIR")]
@@ -425,7 +441,7 @@ impl From<MusicGapArguments> for MusicGapOptions {
 impl From<RecordingsArguments> for Recordings {
     fn from(arguments: RecordingsArguments) -> Self {
         Self {
-            data: arguments.data,
+            data: arguments.data.folder(),
             audio: arguments.audio,
             cache: arguments.cache,
             split: arguments.split.into(),
@@ -447,7 +463,7 @@ impl From<EncodeArguments> for EncodeOptions {
     fn from(arguments: EncodeArguments) -> Self {
         Self {
             model: arguments.model_dir,
-            data: arguments.data,
+            data: arguments.data.folder(),
             split: arguments.split.into(),
             out: arguments.out,
             reconstruct: arguments.reconstruct,
@@ -493,14 +509,14 @@ impl From<ImportArguments> for ImportOptions {
     }
 }
 
-impl From<&CheckArguments> for CheckOptions {
-    fn from(arguments: &CheckArguments) -> Self {
-        Self {
-            open: OpenOptions {
-                audio: arguments.audio.clone(),
-            },
-            songs: arguments.songs,
-            beats: arguments.beats,
-        }
+impl CheckArguments {
+    /// Returns the folder and the extent of the checks.
+    pub(super) fn split(self) -> (PathBuf, CheckOptions) {
+        let options = CheckOptions {
+            open: OpenOptions { audio: self.audio },
+            songs: self.songs,
+            beats: self.beats,
+        };
+        (self.data.folder(), options)
     }
 }

@@ -17,7 +17,7 @@ use self::arguments::{
 };
 use crate::{
     compare::compare,
-    data::check::{CheckOptions, check},
+    data::check::check,
     encode::encode,
     import::{ImportOptions, import},
     music_gap::music_gap,
@@ -178,9 +178,10 @@ fn try_it(model: &Path, output: &mut impl Write) -> io::Result<()> {
 }
 
 fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let options = CheckOptions::from(&arguments);
-    let report = check(&arguments.folder, &options)?;
-    if arguments.json {
+    let json = arguments.json;
+    let (folder, options) = arguments.split();
+    let report = check(&folder, &options)?;
+    if json {
         serde_json::to_writer_pretty(&mut *output, &report)?;
         writeln!(output)?;
     } else {
@@ -189,7 +190,7 @@ fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Res
     if report.is_usable() {
         return Ok(());
     }
-    anyhow::bail!("{}: {}", arguments.folder.display(), report.verdict())
+    anyhow::bail!("{}: {}", folder.display(), report.verdict())
 }
 
 fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write) -> io::Result<()> {

@@ -34,7 +34,7 @@ pub struct Choice {
 }
 
 /// One crop of a motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Draw {
     /// The motion.
     pub dance: usize,
@@ -74,8 +74,8 @@ pub fn common_frames(frames: usize, rows: usize) -> usize {
 impl CropPlan {
     /// Counts the crops of one round over all motions.
     #[must_use]
-    pub fn crops(&self, dances: &[Choice]) -> usize {
-        dances.iter().map(|dance| self.starts(dance).count()).sum()
+    pub fn crops(&self, motions: &[Choice]) -> usize {
+        motions.iter().map(|dance| self.starts(dance).count()).sum()
     }
 
     fn starts(&self, dance: &Choice) -> impl Iterator<Item = usize> {
@@ -87,11 +87,11 @@ impl CropPlan {
     /// motion gives each of its crops once, with a random song, start phase and side. A crop that a
     /// phase pushes over the motion's end moves back by a code.
     #[must_use]
-    pub fn round(&self, dances: &[Choice], seed: u64, round: u64) -> Vec<Draw> {
+    pub fn round(&self, motions: &[Choice], seed: u64, round: u64) -> Vec<Draw> {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream(round);
-        let mut draws = Vec::with_capacity(self.crops(dances));
-        for (dance, choice) in dances.iter().enumerate() {
+        let mut draws = Vec::with_capacity(self.crops(motions));
+        for (dance, choice) in motions.iter().enumerate() {
             for start in self.starts(choice) {
                 let room = choice.frames - self.frames;
                 let phases = choice.phases.min(room + 1).clamp(1, PHASES);
@@ -172,9 +172,9 @@ mod tests {
             [0, 16, 17, 361].map(starts),
             [Some(0), Some(16), Some(24), None]
         );
-        let dances = [dance(2, PHASES), dance(1, PHASES), dance(0, 1), short];
-        let draws = plan.round(&dances, 7, 0);
-        assert_eq!(draws.len(), plan.crops(&dances));
+        let motions = [dance(2, PHASES), dance(1, PHASES), dance(0, 1), short];
+        let draws = plan.round(&motions, 7, 0);
+        assert_eq!(draws.len(), plan.crops(&motions));
         let of = |dance| draws.iter().filter(move |draw| draw.dance == dance);
         assert_eq!([0, 1, 2, 3].map(|dance| of(dance).count()), [46, 46, 46, 1]);
         assert!(of(0).any(|draw| draw.song == 0) && of(0).any(|draw| draw.song == 1));
@@ -185,14 +185,19 @@ mod tests {
         for draw in &draws {
             assert!(draw.start % FRAMES_PER_CODE == 0 && draw.frames(240).end <= 600);
         }
-        assert_eq!(draws, plan.round(&dances, 7, 0));
-        assert_ne!(draws, plan.round(&dances, 7, 1));
-        assert_ne!(draws, plan.round(&dances, 8, 0));
+        assert_eq!(draws, plan.round(&motions, 7, 0));
+        assert_ne!(draws, plan.round(&motions, 7, 1));
+        assert_ne!(draws, plan.round(&motions, 8, 0));
         let plain = CropPlan {
             mirror: false,
             ..plan
         };
-        assert!(plain.round(&dances, 7, 0).iter().all(|draw| !draw.mirrored));
+        assert!(
+            plain
+                .round(&motions, 7, 0)
+                .iter()
+                .all(|draw| !draw.mirrored)
+        );
     }
 
     #[test]
@@ -217,11 +222,9 @@ mod tests {
     fn rows_are_one_ahead_of_their_codes() {
         assert_eq!(rows_beside(0..29), 1..30);
         let draw = Draw {
-            dance: 0,
-            song: 0,
             phase: 3,
             start: 80,
-            mirrored: false,
+            ..Draw::default()
         };
         assert_eq!(draw.codes(240), 10..40);
         assert_eq!(draw.frames(240), 83..323);

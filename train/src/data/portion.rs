@@ -38,7 +38,7 @@ impl SplitKind for Evaluation {
 /// Everything of one split: recordings, each once, with all of its songs.
 #[derive(Clone, Debug)]
 pub struct Portion<S> {
-    dances: Vec<Recording<S>>,
+    recordings: Vec<Recording<S>>,
     skeleton: Skeleton,
 }
 
@@ -67,18 +67,20 @@ pub struct Song {
 
 impl<S: SplitKind> Portion<S> {
     pub(super) fn of(dataset: &Dataset) -> Result<Self, DataError> {
-        let mut dances: BTreeMap<&MotionSource, Recording<S>> = BTreeMap::new();
+        let mut recordings: BTreeMap<&MotionSource, Recording<S>> = BTreeMap::new();
         for piece in dataset
             .pieces
             .iter()
             .filter(|piece| piece.split == S::SPLIT)
         {
-            let dance = dances.entry(&piece.motion).or_insert_with(|| Recording {
-                source: piece.motion.clone(),
-                style: piece.style.clone(),
-                songs: Vec::new(),
-                split: PhantomData,
-            });
+            let dance = recordings
+                .entry(&piece.motion)
+                .or_insert_with(|| Recording {
+                    source: piece.motion.clone(),
+                    style: piece.style.clone(),
+                    songs: Vec::new(),
+                    split: PhantomData,
+                });
             dance.songs.push(Song {
                 id: piece.id.clone(),
                 music: piece.music.clone(),
@@ -86,14 +88,14 @@ impl<S: SplitKind> Portion<S> {
                 bpm: piece.bpm,
             });
         }
-        if dances.is_empty() {
+        if recordings.is_empty() {
             return Err(DataError::Empty {
                 path: dataset.root.clone(),
                 split: S::SPLIT,
             });
         }
         Ok(Self {
-            dances: dances.into_values().collect(),
+            recordings: recordings.into_values().collect(),
             skeleton: dataset.skeleton.clone(),
         })
     }
@@ -101,7 +103,7 @@ impl<S: SplitKind> Portion<S> {
     /// Returns the recordings, in a fixed order.
     #[must_use]
     pub fn recordings(&self) -> &[Recording<S>] {
-        &self.dances
+        &self.recordings
     }
 
     /// Returns the skeleton of all motions.
@@ -115,7 +117,10 @@ impl<S: SplitKind> Portion<S> {
     /// # Errors
     /// [`DataError`] of the first that cannot be read.
     pub fn motions(&self) -> Result<Vec<Motion>, DataError> {
-        let motions = self.dances.iter().map(|dance| dance.motion(&self.skeleton));
+        let motions = self
+            .recordings
+            .iter()
+            .map(|dance| dance.motion(&self.skeleton));
         motions.collect()
     }
 }

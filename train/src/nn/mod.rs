@@ -23,8 +23,8 @@ pub use gpt::{GptNet, KvCache, Logits};
 pub(crate) use host::{codes, gathered, numbers, values};
 pub use initial::{GptSizes, VqVaeSizes, random_critic, random_gpt, random_vqvae};
 pub use kernels::{
-    AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kernels, Kind,
-    NormGradients, Queries, Trainable,
+    AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kernels, Kind, Queries,
+    Trainable,
 };
 pub use parameters::{Parameters, Store};
 pub use vqvae::{DecoderNet, EncoderNet, HalfNet};

@@ -20,7 +20,7 @@ pub(super) type Pair = [Vec<i32>; 2];
 
 /// Codes of each motion at each start phase, and of its mirror image where that is wanted.
 pub(super) struct Codes {
-    dances: Vec<Variants>,
+    motions: Vec<Variants>,
 }
 
 struct Variants {
@@ -49,15 +49,20 @@ impl Codes {
         device: &B::Device,
         output: &mut impl Write,
     ) -> Self {
-        let mut dances = Vec::with_capacity(pieces.len());
+        let mut motions = Vec::with_capacity(pieces.len());
         for some in pieces.chunks(DANCES_A_LINE) {
             let encoded = some.par_iter();
             let encoded = encoded.map(|piece| variants(frozen, piece, wanted, device));
-            dances.par_extend(encoded);
+            motions.par_extend(encoded);
             // Progress that cannot be shown is no reason to stop.
-            let _ = writeln!(output, "codes of {}/{} motions", dances.len(), pieces.len());
+            let _ = writeln!(
+                output,
+                "codes of {}/{} motions",
+                motions.len(),
+                pieces.len()
+            );
         }
-        Self { dances }
+        Self { motions }
     }
 
     /// Takes the codes of one motion at its start phases.
@@ -69,13 +74,13 @@ impl Codes {
             vectors: Vec::new(),
         };
         Self {
-            dances: vec![dance],
+            motions: vec![dance],
         }
     }
 
     /// Returns the codes that a window is cut from.
     pub(super) fn of(&self, window: &Draw) -> &Pair {
-        let dance = &self.dances[window.dance];
+        let dance = &self.motions[window.dance];
         &dance.codes[usize::from(window.mirrored) * dance.phases + window.phase]
     }
 
@@ -90,15 +95,15 @@ impl Codes {
 
     /// Returns the vectors of these codes.
     pub(super) fn vectors_of(&self, window: &Draw) -> &[Vec<f32>; 2] {
-        let dance = &self.dances[window.dance];
+        let dance = &self.motions[window.dance];
         &dance.vectors[usize::from(window.mirrored) * dance.phases + window.phase]
     }
 
     /// Returns the codes that every motion and mirror image begins with; `firsts` has the first
     /// frame of each motion that is learned.
     pub(super) fn starts(&self, firsts: &[usize]) -> impl Iterator<Item = [i32; 2]> {
-        let dances = self.dances.iter().zip(firsts);
-        let whole = dances.flat_map(|(dance, first)| {
+        let motions = self.motions.iter().zip(firsts);
+        let whole = motions.flat_map(|(dance, first)| {
             let code = first.div_ceil(FRAMES_PER_CODE);
             let whole = dance.codes.iter().step_by(dance.phases);
             whole.map(move |pair| pair.each_ref().map(|half| half.get(code).copied()))
@@ -121,11 +126,9 @@ fn variants<B: Kernels>(
     };
     let all = sides.iter().flat_map(|&mirrored| {
         (0..phases).map(move |phase| Draw {
-            dance: 0,
-            song: 0,
             phase,
-            start: 0,
             mirrored,
+            ..Draw::default()
         })
     });
     let all: Vec<Draw> = all.collect();

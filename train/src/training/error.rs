@@ -68,7 +68,7 @@ pub enum TrainError {
         path: PathBuf,
     },
     /// Something that a model with parts left out does not have.
-    #[error("{what}: not with ablation.{flag} (its dances: `bailando-train generate`)")]
+    #[error("{what}: not with ablation.{flag} (generate its motion: `bailando-train generate`)")]
     LeftOut {
         /// What was asked for.
         what: &'static str,

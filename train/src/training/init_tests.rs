@@ -39,11 +39,10 @@ fn set(columns: usize) -> MotionSet {
     let value = |(row, column): (usize, usize)| (row as f32 + 0.3 * column as f32).sin() + 2.0;
     let rows = Arc::new(Array2::from_shape_fn((1 + FRAMES / 8, columns), value));
     let piece = MotionPiece::from_positions(positions, MotionFrame::World).unwrap();
-    MotionSet {
-        training: Motions::new(vec![piece.with_song(SongRows::new(vec![rows]).unwrap())]),
-        test: None,
-        songs: Vec::new(),
-    }
+    MotionSet::new(
+        Motions::new(vec![piece.with_song(SongRows::new(vec![rows]).unwrap())]),
+        None,
+    )
 }
 
 #[test]
@@ -105,17 +104,13 @@ fn a_gpt_starts_from_an_official_checkpoint_as_its_music_is_scaled() {
 }
 
 #[test]
-fn a_gpt_starts_from_another_run_that_heard_the_same() {
+fn a_gpt_starts_from_another_run_with_the_same_columns() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(folder.path());
     (config.data.mirror, config.data.phases) = (false, 1);
     config.gpt.training.steps = 2;
     config.gpt.standardise_music = true;
-    let set = MotionSet {
-        training: whole(FRAMES),
-        test: None,
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(whole(FRAMES), None);
     for stage in [Stage::VqVae, Stage::Gpt] {
         let log = &mut Vec::new();
         train(stage, &config, &set, None, Limits::default(), log).unwrap();

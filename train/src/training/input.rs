@@ -237,9 +237,8 @@ fn fixed(dance: usize, song: usize, start: usize) -> Draw {
     Draw {
         dance,
         song,
-        phase: 0,
         start,
-        mirrored: false,
+        ..Draw::default()
     }
 }
 
@@ -255,6 +254,16 @@ pub struct MotionSet {
 }
 
 impl MotionSet {
+    /// Takes motions of both splits; without songs for rewards.
+    #[must_use]
+    pub fn new(training: Motions<Training>, test: Option<Motions<Evaluation>>) -> Self {
+        Self {
+            training,
+            test,
+            songs: Vec::new(),
+        }
+    }
+
     /// Reads a data folder of any layout.
     ///
     /// # Errors

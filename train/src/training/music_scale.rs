@@ -29,13 +29,13 @@ pub(super) struct MusicScale {
 
 impl MusicScale {
     /// Measures the first phase of all songs; a motion has one weight, however many songs it has.
-    pub(super) fn measure(dances: &Motions<Training>, columns: usize, config: &GptConfig) -> Self {
+    pub(super) fn measure(motions: &Motions<Training>, columns: usize, config: &GptConfig) -> Self {
         let mut scale = Self {
             mean: vec![0.0; columns],
             spread: vec![1.0; columns],
         };
         if config.standardise_music {
-            scale.standardise(dances);
+            scale.standardise(motions);
         }
         scale.mute(|column| is_muted(config.hear, column));
         scale
@@ -91,10 +91,10 @@ impl MusicScale {
         }
     }
 
-    fn standardise(&mut self, dances: &Motions<Training>) {
+    fn standardise(&mut self, motions: &Motions<Training>) {
         let columns = self.mean.len();
         let (mut total, mut sums) = (0.0_f64, vec![[0.0_f64; 2]; columns]);
-        for piece in dances.pieces() {
+        for piece in motions.pieces() {
             let weight = 1.0 / piece.songs().len() as f64;
             for row in piece.songs().iter().flat_map(|song| song.phase(0).rows()) {
                 total += weight;
@@ -203,13 +203,11 @@ mod tests {
             }
         }
         let back = scale.unfold(&folded);
-        let heard =
-            [0, 1, 3, 4].map(|flat| (back.weight.data()[flat], trained.weight.data()[flat]));
+        let kept = [0, 1, 3, 4].map(|flat| (back.weight.data()[flat], trained.weight.data()[flat]));
         assert!(
-            heard
-                .iter()
+            kept.iter()
                 .all(|(back, weight)| (back - weight).abs() < 1e-5),
-            "{heard:?}"
+            "{kept:?}"
         );
         assert_eq!(back.bias.data(), trained.bias.data());
         assert!([2, 5].iter().all(|&flat| folded.weight.data()[flat] == 0.0));

@@ -72,13 +72,7 @@ fn codes<B: crate::nn::Kernels<Device = FlexDevice>>(
     piece: &MotionPiece,
 ) -> [Vec<i32>; 2] {
     let frames = piece.frames() / FRAMES_PER_CODE * FRAMES_PER_CODE;
-    let whole = Draw {
-        dance: 0,
-        song: 0,
-        phase: 0,
-        start: 0,
-        mirrored: false,
-    };
+    let whole = Draw { ..Draw::default() };
     let piece = std::slice::from_ref(piece);
     [0, 1].map(|half| {
         let motion = motion_columns(
@@ -102,11 +96,7 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
     let positions = [dance(FRAMES, 1), dance(250, 2)];
     let pieces = [(&positions[0], 2), (&positions[1], 1)];
     let pieces = pieces.map(|(positions, songs)| piece(positions.clone(), songs, 8));
-    let set = MotionSet {
-        training: Motions::new(pieces.into()),
-        test: None,
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(Motions::new(pieces.into()), None);
     let log = &mut Vec::new();
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
 
@@ -125,10 +115,9 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
                 let expected = codes(&frozen, &piece(motion.into_positions(), 0, 0));
                 let draw = Draw {
                     dance: index,
-                    song: 0,
                     phase,
-                    start: 0,
                     mirrored: side,
+                    ..Draw::default()
                 };
                 assert_eq!(found.of(&draw), &expected, "{draw:?}");
                 for half in [0, 1] {
@@ -178,11 +167,7 @@ fn test_losses_are_the_losses_without_learning() {
         training.batch = 1;
     }
     (config.vqvae.frames, config.velocity.frames) = (240, 240);
-    let set = MotionSet {
-        training: whole(240),
-        test: Some(whole::<Evaluation>(240)),
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(whole(240), Some(whole::<Evaluation>(240)));
     let log = &mut Vec::new();
 
     let (spec, mut stage) = VqVaeStage::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
@@ -223,11 +208,7 @@ fn standing_at_either_end_is_not_learned() {
     }
     let dancing = piece(positions.clone(), 1, 1);
     assert_eq!(dancing.dancing(), 40..559);
-    let set = MotionSet {
-        training: Motions::new(vec![dancing]),
-        test: None,
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(Motions::new(vec![dancing]), None);
     let log = &mut Vec::new();
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
     let mut windows = |trim_still: bool| {
@@ -250,11 +231,7 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
     let mut config = config(folder.path());
     config.velocity.pose_decoders = true;
     config.velocity.speed_weight = 2.0;
-    let set = MotionSet {
-        training: whole(FRAMES),
-        test: Some(whole::<Evaluation>(FRAMES)),
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(whole(FRAMES), Some(whole::<Evaluation>(FRAMES)));
     let log = &mut Vec::new();
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
     let (spec, stage) = VelocityStage::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
@@ -280,7 +257,7 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
     assert_eq!(root(&learned_on), root(&as_they_were));
     assert_ne!(learned_on, as_they_were);
 
-    // Side by side they come out as each by itself, whatever their lengths.
+    // Side by side they are the same as each alone, for all lengths.
     let shorter = codes.each_ref().map(|half| half[1..].to_vec());
     let reversed = codes
         .each_ref()
@@ -334,11 +311,7 @@ fn without_test_dances_there_is_no_test_loss() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     for test in [None, Some(whole::<Evaluation>(40))] {
-        let set = MotionSet {
-            training: whole(FRAMES),
-            test,
-            songs: Vec::new(),
-        };
+        let set = MotionSet::new(whole(FRAMES), test);
         let (spec, mut stage) =
             VqVaeStage::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
         let parameters = Parameters::<Flex>::from_store(&spec.store, &FlexDevice);
@@ -354,11 +327,7 @@ fn trained(folder: &Path, ablation: AblationConfig) -> Config {
     (config.data.mirror, config.data.phases) = (false, 1);
     config.run.log_steps = 1;
     (config.velocity.training.steps, config.gpt.training.steps) = (3, 3);
-    let set = MotionSet {
-        training: whole(FRAMES),
-        test: Some(whole(FRAMES)),
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(whole(FRAMES), Some(whole(FRAMES)));
     for stage in [Stage::VqVae, Stage::Velocity, Stage::Gpt] {
         let log = &mut Vec::new();
         let outcome = train(stage, &config, &set, None, Limits::default(), log);
@@ -404,30 +373,12 @@ fn path(dance: &Positions) -> f32 {
 #[test]
 fn runs_with_parts_left_out_learn_and_dance() {
     let whole = AblationConfig::default();
-    let cases = [
-        whole,
-        AblationConfig {
-            separate_halves: true,
-            ..whole
-        },
-        AblationConfig {
-            root_in_pose: true,
-            ..whole
-        },
-        AblationConfig {
-            whole_body: true,
-            ..whole
-        },
-        AblationConfig {
-            whole_body: true,
-            root_in_pose: true,
-            ..whole
-        },
-        AblationConfig {
-            continuous: true,
-            ..whole
-        },
-    ];
+    let cases = [0b0000, 0b0001, 0b0010, 0b0100, 0b0110, 0b1000].map(|flags| AblationConfig {
+        separate_halves: flags & 0b0001 > 0,
+        root_in_pose: flags & 0b0010 > 0,
+        whole_body: flags & 0b0100 > 0,
+        continuous: flags & 0b1000 > 0,
+    });
     for ablation in cases {
         let folder = tempfile::tempdir().unwrap();
         let config = trained(folder.path(), ablation);
@@ -466,11 +417,9 @@ fn the_pose_may_include_the_roots_motion() {
     config.ablation.root_in_pose = true;
     let piece = piece(dance(40, 1), 0, 0);
     let draw = Draw {
-        dance: 0,
-        song: 0,
-        phase: 0,
         start: 8,
         mirrored: true,
+        ..Draw::default()
     };
     let [_, lower] = config.pose_columns();
     let crop = motion_columns::<Flex>(

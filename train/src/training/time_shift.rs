@@ -137,11 +137,8 @@ mod tests {
 
     fn window(start: usize) -> Draw {
         Draw {
-            dance: 0,
-            song: 0,
-            phase: 0,
             start,
-            mirrored: false,
+            ..Draw::default()
         }
     }
 

@@ -32,14 +32,14 @@ impl Fit {
 /// mean), so that beats found at half the count fit as well as all of them.
 pub(super) fn fit(grid: &[f64], detected: &[f64]) -> Option<Fit> {
     let period = median(&mut gaps(grid));
-    let heard = median(&mut gaps(detected));
-    if period <= 0.0 || heard <= 0.0 {
+    let tracked = median(&mut gaps(detected));
+    if period <= 0.0 || tracked <= 0.0 {
         return None;
     }
     // Beats tracked at twice the grid's rate, or at two thirds, fall on and halfway between its
     // beats.
     let whole = |fold: &f64| {
-        let ratio = fold * heard / period;
+        let ratio = fold * tracked / period;
         ratio > 0.5 && (ratio - ratio.round()).abs() < 0.1
     };
     let fold = FOLDS.into_iter().find(whole).unwrap_or(1.0);

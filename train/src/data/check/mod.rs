@@ -69,8 +69,8 @@ pub fn check(root: &Path, options: &CheckOptions) -> Result<Report, DataError> {
             frames.insert(source, found);
         }
     }
-    let heard = music::check(&dataset, &frames, options, &mut findings);
-    splits::check(&dataset, &frames, &heard, &mut findings);
+    let tracked = music::check(&dataset, &frames, options, &mut findings);
+    splits::check(&dataset, &frames, &tracked, &mut findings);
     Ok(Report {
         folder: root.to_owned(),
         layout: dataset.layout.to_string(),
@@ -78,8 +78,8 @@ pub fn check(root: &Path, options: &CheckOptions) -> Result<Report, DataError> {
             .map(|split| report::summary(&dataset, split, &frames))
             .to_vec(),
         motions_checked: by_motion.len(),
-        songs_decoded: heard.len(),
-        beats_compared: heard
+        songs_decoded: tracked.len(),
+        beats_compared: tracked
             .values()
             .filter(|song| song.as_ref().is_ok_and(|song| song.beats.is_some()))
             .count(),

@@ -8,7 +8,7 @@ use std::{
 use super::{
     CheckOptions, beats,
     findings::{Findings, Topic},
-    songs::{Songs, listen},
+    songs::{Songs, track},
 };
 use crate::data::{Dataset, Layout, MotionSource, MusicSource, Piece, json};
 use bailando::features::Rate;
@@ -49,9 +49,9 @@ pub(super) fn check(
         let (count, all) = (silent_pieces.len(), dataset.pieces.len());
         findings.add(Topic::NoMusic, format!("{count} of {all} pieces"));
     }
-    let heard = listen(&chosen(&by_song, options));
+    let tracked = track(&chosen(&by_song, options));
     for (path, pieces) in &by_song {
-        match heard.get(*path) {
+        match tracked.get(*path) {
             Some(Ok(song)) => {
                 let name = super::file_name(path);
                 if song.level < SILENCE {
@@ -61,15 +61,15 @@ pub(super) fn check(
                 for piece in pieces {
                     check_length(dataset, piece, song.seconds, frames, findings);
                 }
-                if let (Some(heard), Some(piece)) = (&song.beats, pieces.first()) {
-                    check_grid(piece, heard, &name, findings);
+                if let (Some(tracked), Some(piece)) = (&song.beats, pieces.first()) {
+                    check_grid(piece, tracked, &name, findings);
                 }
             }
             Some(Err(problem)) => findings.add(Topic::AudioFile, problem.clone()),
             None => {}
         }
     }
-    heard
+    tracked
 }
 
 /// The songs to decode, and which of them to find beats in: spread evenly over the list.
@@ -136,12 +136,12 @@ fn check_length(
     }
 }
 
-fn check_grid(piece: &Piece, heard: &[f64], name: &str, findings: &mut Findings) {
-    if heard.is_empty() {
+fn check_grid(piece: &Piece, tracked: &[f64], name: &str, findings: &mut Findings) {
+    if tracked.is_empty() {
         findings.add(Topic::NoBeats, name.to_owned());
         return;
     }
-    let Some(fit) = beats::fit(&piece.grid_beats_s, heard) else {
+    let Some(fit) = beats::fit(&piece.grid_beats_s, tracked) else {
         return;
     };
     let id = &piece.id;
@@ -156,7 +156,7 @@ fn check_grid(piece: &Piece, heard: &[f64], name: &str, findings: &mut Findings)
         let milliseconds = 1_000.0 * late.abs();
         let side = if late > 0.0 { "early" } else { "late" };
         let half = if fit.late_s.abs() > 0.4 * fit.period_s {
-            " (half a beat: the song's off-beats may be what is heard)"
+            " (half a beat: the tracked beats may be the off-beats)"
         } else {
             ""
         };

@@ -34,7 +34,7 @@ pub(super) struct SongFacts {
 pub(super) type Songs = HashMap<PathBuf, Result<SongFacts, String>>;
 
 /// Decodes the songs; beats of those marked.
-pub(super) fn listen(songs: &[(&Path, bool)]) -> Songs {
+pub(super) fn track(songs: &[(&Path, bool)]) -> Songs {
     let next = AtomicUsize::new(0);
     let done = Mutex::new(Songs::new());
     let workers = thread::available_parallelism().map_or(1, NonZero::get);

@@ -125,8 +125,9 @@ impl Topic {
                  end."),
             Self::NoTraining => (Unusable, "No piece can be used for training.",
                 "At least one piece needs the split train and 240 frames (4 s)."),
-            Self::Leak => (Unusable, "The same motion is in train and in test: the model would be \
-                                      judged by what it has learnt by heart.",
+            Self::Leak => (Unusable,
+                "The same motion is in train and in test: the model would be tested on its training \
+                 data.",
                 "Move every copy of a motion into one split."),
             Self::NotFinite => (Unusable, "Motions hold values that are no numbers (NaN or \
                                            infinite).",
@@ -146,8 +147,8 @@ impl Topic {
                  belong to another song."),
             Self::FrameRate => (Unusable, "Motions do not look like 60 frames a second.",
                 "Resample the motion to 60 frames a second."),
-            Self::AudioLength => (Warning, "Songs are not as long as their dances; only the common \
-                                            part is used.",
+            Self::AudioLength => (Warning,
+                "Songs are not as long as their motions; only the common part is used.",
                 "Check that dance and song belong together and both start at the same moment."),
             Self::Silent => (Unusable, "Songs hold no sound.",
                 "Export the songs again."),
@@ -164,21 +165,20 @@ impl Topic {
             Self::Jumps => (Warning, "Joints jump faster than people move.",
                 "Look at these frames: they are tracking failures or cuts."),
             Self::Still => (Warning, "Motions hardly move.",
-                "Take out pieces, or parts of them, where nobody dances."),
+                "Take out pieces, or parts of them, in which nobody moves."),
             Self::Floor => (Warning, "The standing foot is not near the floor y = 0.",
                 "Harmless for training, which sees the root's velocity alone; move the data so \
                  that feet stand at y = 0 before exporting a root height."),
             Self::Short => (Warning, "Motions are shorter than one crop of 240 frames (4 s) and \
                                       are not used.",
                 "Join them, or take them out."),
-            Self::Grid => (Warning, "The beat grid does not go along with the beats heard in the \
-                                     song.",
+            Self::Grid => (Warning, "The beat grid does not agree with the beats found in the song.",
                 "Check tempo and start of `grid_beats_s`, and that the audio belongs to the \
                  piece."),
-            Self::GridOffset => (Warning, "The beat grid is early or late against the beats heard \
-                                           in the song.",
+            Self::GridOffset => (Warning,
+                "The beat grid is early or late against the beats found in the song.",
                 "Check that the audio starts at frame 0 (mp3 encoders put 25-50 ms in front)."),
-            Self::NoBeats => (Warning, "No beats are heard in songs.",
+            Self::NoBeats => (Warning, "No beats are found in songs.",
                 "Check the files; music without a pulse teaches no timing."),
             Self::StoredRows => (Warning, "music_array has 60 rows a second: enough for beat \
                                            scores, but the GPT needs 7.5.",
@@ -190,7 +190,7 @@ impl Topic {
                                                 test.",
                 "Split by recording, not by piece."),
             Self::SharedSong => (Warning, "The same song is in train and in test.",
-                "Keep test songs out of train where dances are judged by unheard music."),
+                "Keep test songs out of train to measure motion for new music."),
             Self::Duplicate => (Warning, "The same content occurs more than once.",
                 "Take out the copies, or name one shared file: weights go by motion file."),
             Self::NoMusic => (Note, "Pieces have no music: they train the VQ-VAE alone.", ""),

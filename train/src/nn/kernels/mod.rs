@@ -39,7 +39,7 @@ pub trait Kernels: Backend {
         input: Tensor<Self, 3>,
         weight: Tensor<Self, 1>,
         outer: Tensor<Self, 3>,
-    ) -> ConvolutionGradients<Self> {
+    ) -> AffineGradients<Self> {
         plain::convolve_backward(plan, input, weight, outer)
     }
 
@@ -68,7 +68,7 @@ pub trait Kernels: Backend {
         input: Tensor<Self, 3>,
         weight: Tensor<Self, 1>,
         outer: Tensor<Self, 3>,
-    ) -> NormGradients<Self> {
+    ) -> AffineGradients<Self> {
         plain::normalise_backward(input, weight, outer)
     }
 
@@ -145,20 +145,9 @@ pub struct Queries<B: Backend> {
 /// Derivatives by the inputs of attention.
 pub type AttentionGradients<B> = Queries<B>;
 
-/// Derivatives by the inputs of a normalisation, in the same shapes.
+/// Derivatives by the inputs of a convolution or normalisation, in the same shapes.
 #[derive(Clone, Debug)]
-pub struct NormGradients<B: Backend> {
-    /// By the input.
-    pub input: Tensor<B, 3>,
-    /// By the weight.
-    pub weight: Tensor<B, 1>,
-    /// By the bias.
-    pub bias: Tensor<B, 1>,
-}
-
-/// Derivatives by the inputs of a convolution, in the same shapes.
-#[derive(Clone, Debug)]
-pub struct ConvolutionGradients<B: Backend> {
+pub struct AffineGradients<B: Backend> {
     /// By the input.
     pub input: Tensor<B, 3>,
     /// By the weight.

@@ -7,8 +7,8 @@ use burn_tensor::{
 };
 
 use super::{
-    AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kind, NORM_EPSILON,
-    NormGradients, Queries, lowering::Product,
+    AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kind, NORM_EPSILON, Queries,
+    lowering::Product,
 };
 
 pub(super) fn convolve<B: Backend>(
@@ -34,7 +34,7 @@ pub(super) fn convolve_backward<B: Backend>(
     input: Tensor<B, 3>,
     weight: Tensor<B, 1>,
     outer: Tensor<B, 3>,
-) -> ConvolutionGradients<B> {
+) -> AffineGradients<B> {
     let [batch, time, channels] = input.dims();
     let (rows, outputs) = (batch * plan.rows(time), plan.outputs);
     let device = input.device();
@@ -72,7 +72,7 @@ pub(super) fn convolve_backward<B: Backend>(
     } else {
         by_input
     };
-    ConvolutionGradients {
+    AffineGradients {
         input: by_input,
         weight: Tensor::cat(by_kernel.into_iter().flatten().collect(), 0)
             .reshape([plan.kernel() * channels * outputs]),
@@ -189,14 +189,14 @@ pub(super) fn normalise_backward<B: Backend>(
     input: Tensor<B, 3>,
     weight: Tensor<B, 1>,
     outer: Tensor<B, 3>,
-) -> NormGradients<B> {
+) -> AffineGradients<B> {
     let [channels] = weight.dims();
     let (standard, scale) = standardised(input);
     let rows = |tensor: Tensor<B, 3>| tensor.sum_dim(0).sum_dim(1).reshape([channels]);
     let by_standard = outer.clone() * weight.unsqueeze::<3>();
     let plain = by_standard.clone().mean_dim(2);
     let along = (by_standard.clone() * standard.clone()).mean_dim(2);
-    NormGradients {
+    AffineGradients {
         input: scale * (by_standard - plain - standard.clone() * along),
         weight: rows(outer.clone() * standard),
         bias: rows(outer),

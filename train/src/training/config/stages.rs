@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    checks::{at_least_one, not_negative},
+    checks::{at_least_one, not_negative, within_range},
     optimiser::TrainingConfig,
 };
 use crate::{data::FRAMES_PER_CODE, training::reward::BeatReward};
@@ -50,10 +50,7 @@ impl VqVaeConfig {
             ("commitment", self.commitment),
             ("restart_below", self.restart_below),
         ])?;
-        let decay = self.decay;
-        if !(0.0..1.0).contains(&decay) {
-            return Err(format!("decay ({decay}) must lie in 0..1"));
-        }
+        within_range([("decay", self.decay)], 0.0..1.0, "0..1")?;
         check_crops(self.frames, self.stride)
     }
 }
@@ -120,12 +117,7 @@ impl GptConfig {
     /// `phases`: those of the data.
     pub(super) fn check(&self, phases: usize) -> Result<(), String> {
         let Self {
-            channels,
-            heads,
-            dropout,
-            code_noise,
-            slip_share,
-            ..
+            channels, heads, ..
         } = self;
         at_least_one([
             ("channels", *channels),
@@ -144,16 +136,10 @@ impl GptConfig {
                 "phases ({asked}) must lie in 0..={phases}, the phases of [data]"
             ));
         }
-        if !(0.0..1.0).contains(dropout) {
-            return Err(format!("dropout ({dropout}) must lie in 0..1"));
-        }
-        if !(0.0..1.0).contains(code_noise) {
-            return Err(format!("code_noise ({code_noise}) must lie in 0..1"));
-        }
-        if !(0.0..=1.0).contains(slip_share) {
-            return Err(format!("slip_share ({slip_share}) must lie in 0..=1"));
-        }
-        if *slip_share > 0.0 && self.slip_frames == 0 {
+        let shares = [("dropout", self.dropout), ("code_noise", self.code_noise)];
+        within_range(shares, 0.0..1.0, "0..1")?;
+        within_range([("slip_share", self.slip_share)], 0.0..=1.0, "0..=1")?;
+        if self.slip_share > 0.0 && self.slip_frames == 0 {
             return Err("slip_frames must be at least 1 where slip_share is not 0".into());
         }
         Ok(())
@@ -209,11 +195,8 @@ impl ActorCriticConfig {
             return Err("actor_steps must be at least 1".into());
         }
         at_least_one([("critic_layers", self.critic_layers), ("takes", self.takes)])?;
-        for (name, share) in [("continued", self.continued), ("kept", self.kept)] {
-            if !(0.0..=1.0).contains(&share) {
-                return Err(format!("{name} ({share}) must lie in 0..=1"));
-            }
-        }
+        let shares = [("continued", self.continued), ("kept", self.kept)];
+        within_range(shares, 0.0..=1.0, "0..=1")?;
         not_negative([
             ("beat_weight", self.beat_weight),
             ("consistency_weight", self.consistency_weight),

@@ -6,7 +6,7 @@ use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, Slice, linalg::general_ma
 use rayon::prelude::*;
 
 use super::{
-    super::{Convolution, ConvolutionGradients, lowering::Product},
+    super::{AffineGradients, Convolution, lowering::Product},
     add, host, tensor, values,
 };
 
@@ -37,7 +37,7 @@ pub(super) fn convolve_backward(
     input: Tensor<Flex, 3>,
     weight: Tensor<Flex, 1>,
     outer: Tensor<Flex, 3>,
-) -> ConvolutionGradients<Flex> {
+) -> AffineGradients<Flex> {
     let shape = input.dims();
     let [_, time, _] = shape;
     let (input, weight, outer) = (host(input), host(weight), host(outer));
@@ -59,7 +59,7 @@ pub(super) fn convolve_backward(
         add(&mut bias_change, &change.bias);
     }
     let (weights, biases) = (weight_change.len(), bias_change.len());
-    ConvolutionGradients {
+    AffineGradients {
         input: tensor(by_input, shape),
         weight: tensor(weight_change, [weights]),
         bias: tensor(bias_change, [biases]),

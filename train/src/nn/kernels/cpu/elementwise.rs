@@ -5,7 +5,7 @@ use burn_tensor::{Distribution, Tensor};
 use rayon::prelude::*;
 
 use super::{
-    super::{NORM_EPSILON, NormGradients},
+    super::{AffineGradients, NORM_EPSILON},
     add, host, tensor, values,
 };
 
@@ -130,7 +130,7 @@ pub(super) fn normalise_backward(
     input: Tensor<Flex, 3>,
     weight: Tensor<Flex, 1>,
     outer: Tensor<Flex, 3>,
-) -> NormGradients<Flex> {
+) -> AffineGradients<Flex> {
     let shape = input.dims();
     let channels = shape[2].max(1);
     let (input, weight, outer) = (host(input), host(weight), host(outer));
@@ -162,7 +162,7 @@ pub(super) fn normalise_backward(
         }
         tensor(total, [channels])
     };
-    NormGradients {
+    AffineGradients {
         weight: total(0),
         bias: total(1),
         input: tensor(by_input, shape),

@@ -5,7 +5,7 @@ use burn_tensor::{Tensor, TensorPrimitive};
 use rayon::prelude::*;
 
 use super::{
-    super::{Convolution, ConvolutionGradients},
+    super::{AffineGradients, Convolution},
     add, host, tensor, values,
 };
 
@@ -39,14 +39,14 @@ pub(super) fn map_backward(
     input: Tensor<Flex, 3>,
     weight: Tensor<Flex, 1>,
     outer: Tensor<Flex, 3>,
-) -> ConvolutionGradients<Flex> {
+) -> AffineGradients<Flex> {
     let [batch, length, _] = input.dims();
     let rows = input.reshape([batch * length, plan.inputs]);
     let outer = outer.reshape([batch * length, plan.outputs]);
     let weight = weight.reshape([plan.inputs, plan.outputs]);
     let by_input = outer.clone().matmul(weight.transpose());
     let by_weight = rows.transpose().matmul(outer.clone());
-    ConvolutionGradients {
+    AffineGradients {
         input: by_input.reshape([batch, length, plan.inputs]),
         weight: by_weight.reshape([plan.inputs * plan.outputs]),
         bias: column_sums(outer, plan.outputs),

@@ -12,10 +12,7 @@ mod linear;
 use burn_flex::{Flex, FlexTensor};
 use burn_tensor::{Bool, Tensor, TensorData, TensorPrimitive};
 
-use super::{
-    AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kernels, NormGradients,
-    Queries,
-};
+use super::{AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kernels, Queries};
 
 impl Kernels for Flex {
     fn convolve(
@@ -35,7 +32,7 @@ impl Kernels for Flex {
         input: Tensor<Self, 3>,
         weight: Tensor<Self, 1>,
         outer: Tensor<Self, 3>,
-    ) -> ConvolutionGradients<Self> {
+    ) -> AffineGradients<Self> {
         if plan.is_linear() {
             return linear::map_backward(plan, input, weight, outer);
         }
@@ -62,7 +59,7 @@ impl Kernels for Flex {
         input: Tensor<Self, 3>,
         weight: Tensor<Self, 1>,
         outer: Tensor<Self, 3>,
-    ) -> NormGradients<Self> {
+    ) -> AffineGradients<Self> {
         elementwise::normalise_backward(input, weight, outer)
     }
 
