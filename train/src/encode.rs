@@ -29,6 +29,7 @@ pub struct EncodeOptions {
 /// Why recordings could not be encoded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum EncodeError {
     /// The data.
     #[error(transparent)]
@@ -44,12 +45,7 @@ pub enum EncodeError {
     NoMusic,
     /// A file could not be written.
     #[error("{}: {message}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        message: String,
-    },
+    Write { path: PathBuf, message: String },
 }
 
 impl EncodeError {

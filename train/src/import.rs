@@ -42,6 +42,7 @@ pub struct ImportOptions {
 /// Why checkpoints could not be imported.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum ImportError {
     /// A checkpoint.
     #[error(transparent)]
@@ -55,32 +56,23 @@ pub enum ImportError {
     /// A JSON file could not be read.
     #[error("{}: {source}", path.display())]
     Read {
-        /// The file.
         path: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
     /// A JSON file does not hold what is expected.
     #[error("{}: expected {expected}: {source}", path.display())]
     Json {
-        /// The file.
         path: PathBuf,
-        /// What it should hold.
         expected: &'static str,
-        /// Where it does not.
         source: serde_json::Error,
     },
     /// A start code is not in the vocabulary.
     #[error("{}: start codes {pair:?} lie outside the vocabulary of {upper} upper and {lower} \
              lower codes", path.display())]
     StartCode {
-        /// The file.
         path: PathBuf,
-        /// The pair.
         pair: [u32; 2],
-        /// Number of upper codes.
         upper: usize,
-        /// Number of lower codes.
         lower: usize,
     },
 }

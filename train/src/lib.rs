@@ -1,7 +1,7 @@
 //! Model directories from training data, or from official checkpoints.
 //!
 //! [`checkpoint`] (a file to tensors) → [`weights`] (tensors to networks) → [`onnx`] (networks
-//! to graphs) → [`export`] (graphs and manifest to a model directory). [`import`] goes all the way,
+//! to graphs) → [`export`] (graphs and manifest to a model directory). [`import`] does it all,
 //! [`training`] makes weights of [`data`], [`encode`] runs recordings through a model,
 //! [`music_gap`] measures its conditioning on the music, [`mod@compare`] the loss by quantisation,
 //! and [`cli`] is the command line.

@@ -47,7 +47,8 @@ fn a_run_with_separate_halves_dances_but_is_not_exported() {
     let refused = train(&["export", &config]);
     assert_eq!(
         String::from_utf8(refused.stderr).unwrap(),
-        "error: export: not with ablation.separate_halves (generate its motion: `bailando-train generate`)\n"
+        "error: export: not with ablation.separate_halves (generate its motion: `bailando-train \
+         generate`)\n"
     );
 
     let dance = |out: &str, seed: &str| -> Array3<f32> {

@@ -7,7 +7,11 @@ use bailando::{
     model::{SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{
+    Args, Parser, Subcommand, ValueEnum,
+    builder::{PossibleValuesParser, TypedValueParser},
+};
+use serde::de::DeserializeOwned;
 
 use crate::{
     compare::CompareOptions,
@@ -292,8 +296,8 @@ pub(super) struct ImportArguments {
     pub(super) heads: usize,
 
     /// Version of the music features that the GPT was trained with
-    #[arg(long, value_enum, default_value_t = ProfileName::Librosa081)]
-    pub(super) profile: ProfileName,
+    #[arg(long, default_value = "librosa-0.8.1", value_parser = named::<Profile>(&PROFILES))]
+    pub(super) profile: Profile,
 
     /// JSON list of [upper, lower] code pairs to start from, or an object with it as `start_codes`
     /// [default: the pair 423, 12 where the vocabulary has it, else any pair]
@@ -306,8 +310,8 @@ pub(super) struct ImportArguments {
 
     /// How weights are stored: f32 exactly, f16 in half the space (computed with in f32), int8 with
     /// the GPT's matrices in a quarter of it (and products of 8-bit numbers)
-    #[arg(long, value_enum, default_value_t = Weights::F32)]
-    pub(super) weights: Weights,
+    #[arg(long, default_value = "f32", value_parser = named::<WeightStorage>(&WEIGHTS))]
+    pub(super) weights: WeightStorage,
 
     /// Name of the model, reported with every motion
     #[arg(long, default_value = "bailando-official")]
@@ -367,19 +371,15 @@ pub(super) struct CheckArguments {
     pub(super) json: bool,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(super) enum ProfileName {
-    #[value(name = "librosa-0.11")]
-    Librosa011,
-    #[value(name = "librosa-0.8.1")]
-    Librosa081,
-}
+/// Names of the feature profiles and of the ways to store weights, as in settings and manifests.
+const PROFILES: [&str; 2] = ["librosa-0.11", "librosa-0.8.1"];
+const WEIGHTS: [&str; 3] = ["f16", "f32", "int8"];
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(super) enum Weights {
-    F16,
-    F32,
-    Int8,
+/// Parses one of `names`.
+fn named<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+    names: &'static [&'static str],
+) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(names).try_map(|name| serde_json::from_value(name.into()))
 }
 
 fn temperature(text: &str) -> Result<f32, String> {
@@ -484,10 +484,7 @@ impl From<ImportArguments> for ImportOptions {
             description: Description {
                 name: arguments.name,
                 licence: arguments.licence,
-                profile: match arguments.profile {
-                    ProfileName::Librosa011 => Profile::Librosa011,
-                    ProfileName::Librosa081 => Profile::Librosa081,
-                },
+                profile: arguments.profile,
                 count_periods: Vec::new(),
                 start_codes: Vec::new(),
                 suppressed_codes: SuppressedCodes::default(),
@@ -498,11 +495,7 @@ impl From<ImportArguments> for ImportOptions {
                 hop: PUBLISHED_HOP,
                 motion_frame: MotionFrame::World,
                 root_height: arguments.root_height,
-                weights: match arguments.weights {
-                    Weights::F16 => WeightStorage::F16,
-                    Weights::F32 => WeightStorage::F32,
-                    Weights::Int8 => WeightStorage::Int8,
-                },
+                weights: arguments.weights,
                 training: BTreeMap::new(),
             },
         }

@@ -9,6 +9,7 @@ use crate::onnx::GraphError;
 /// Why a model directory could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum ExportError {
     /// The GPT and the VQ-VAE do not belong together.
     #[error(
@@ -16,11 +17,8 @@ pub enum ExportError {
          same model?"
     )]
     Vocabulary {
-        /// `upper` or `lower`.
         half: &'static str,
-        /// Rows of the GPT's embedding.
         gpt: usize,
-        /// Rows of the codebook.
         codebook: usize,
     },
     /// The root's decoder is not one of the frame that the motion is said to be in.
@@ -30,11 +28,8 @@ pub enum ExportError {
         match frame { MotionFrame::World => "world's", MotionFrame::Dancer => "dancer's" }
     )]
     Frame {
-        /// The frame.
         frame: MotionFrame,
-        /// Columns that it needs.
         expected: usize,
-        /// Columns of the weights.
         found: usize,
     },
     /// A graph could not be built.
@@ -57,9 +52,7 @@ pub enum ExportError {
     /// A file or directory could not be written.
     #[error("{}: {source}", path.display())]
     Write {
-        /// The file or directory.
         path: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
     /// What was written cannot be loaded.

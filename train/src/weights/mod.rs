@@ -18,6 +18,7 @@ use crate::checkpoint::CheckpointError;
 /// Why weights could not be taken from a checkpoint.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum WeightError {
     /// The file, or one of its tensors.
     #[error(transparent)]
@@ -26,11 +27,8 @@ pub enum WeightError {
     #[error("{}: {channels} channels cannot be divided among {heads} heads: give the right count \
              with --heads", path.display())]
     Heads {
-        /// The checkpoint.
         path: PathBuf,
-        /// Width of the embeddings.
         channels: usize,
-        /// Heads asked for.
         heads: usize,
     },
 }

@@ -126,8 +126,7 @@ impl Topic {
             Self::NoTraining => (Unusable, "No piece can be used for training.",
                 "At least one piece needs the split train and 240 frames (4 s)."),
             Self::Leak => (Unusable,
-                "The same motion is in train and in test: the model would be tested on its training \
-                 data.",
+                "The same motion is in train and in test: tests would measure training data.",
                 "Move every copy of a motion into one split."),
             Self::NotFinite => (Unusable, "Motions hold values that are no numbers (NaN or \
                                            infinite).",
@@ -172,7 +171,7 @@ impl Topic {
             Self::Short => (Warning, "Motions are shorter than one crop of 240 frames (4 s) and \
                                       are not used.",
                 "Join them, or take them out."),
-            Self::Grid => (Warning, "The beat grid does not agree with the beats found in the song.",
+            Self::Grid => (Warning, "The beat grid and the beats found in the song do not agree.",
                 "Check tempo and start of `grid_beats_s`, and that the audio belongs to the \
                  piece."),
             Self::GridOffset => (Warning,
