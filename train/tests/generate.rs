@@ -55,7 +55,7 @@ fn a_run_with_separate_halves_dances_but_is_not_exported() {
         let out = path(out);
         let made = train(&["generate", &config, "--out", &out, "--seed", seed]);
         let report = String::from_utf8(made.stdout).unwrap();
-        assert_eq!(report, format!("wrote 1 dances to {out}\n"));
+        assert_eq!(report, format!("wrote 1 motions to {out}\n"));
         let files: Vec<_> = fs::read_dir(&out).unwrap().collect();
         assert_eq!(files.len(), 1, "one piece of the test split");
         ndarray_npy::read_npy(Path::new(&out).join("three_a.npy")).unwrap()

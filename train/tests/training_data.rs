@@ -88,7 +88,7 @@ fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
     );
     let report = run(&config);
     assert!(report.contains("music of 4/4 songs"), "{report}");
-    assert!(report.contains("codes of 2/2 dances"), "{report}");
+    assert!(report.contains("codes of 2/2 motions"), "{report}");
     // Velocity forward, up and to the left, and the turn.
     assert_eq!(shape(&config, "velocity", "weight.root.output.bias"), [4]);
     assert_eq!(shape(&config, "gpt", "music.mean"), [438]);
@@ -176,6 +176,6 @@ fn aist_dances_train_and_find_their_songs_in_a_folder_of_their_own() {
     assert!(
         refused
             .to_string()
-            .contains("no dance of the training split has music")
+            .contains("no motion of the training split has music")
     );
 }

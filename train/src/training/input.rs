@@ -317,7 +317,7 @@ impl MotionSet {
         if set.training.pieces.is_empty() {
             return Err(TrainError::Data {
                 path: data.folder.clone(),
-                message: "no dance of the training split has music".into(),
+                message: "no motion of the training split has music".into(),
             });
         }
         Ok(set)
