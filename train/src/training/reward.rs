@@ -224,6 +224,16 @@ fn poses(positions: &Positions) -> Vec<Pose> {
 mod tests {
     use super::*;
 
+    fn rule(beat: BeatReward, beat_weight: f64, consistency_weight: f64) -> RewardRule {
+        RewardRule {
+            beat,
+            beat_weight,
+            consistency_weight,
+            slow_weight: 0.0,
+            speed_weight: 0.0,
+        }
+    }
+
     /// An upright body, turned about y; the lower half turned further.
     fn pose(facing: f64, twist: f64) -> Pose {
         let turned = |x: f64, y: f64, z: f64, angle: f64| {
@@ -351,13 +361,7 @@ mod tests {
             at.iter().for_each(|&frame| beats[frame] = true);
             beats
         };
-        let rule = RewardRule {
-            beat: BeatReward::Paper,
-            beat_weight: 5.0,
-            consistency_weight: 1.0,
-            slow_weight: 0.0,
-            speed_weight: 0.0,
-        };
+        let rule = rule(BeatReward::Paper, 5.0, 1.0);
         // Dance beats are in the codes of frames 20 (code 2), 60 (7), 100 (12) and 140 (17).
         let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
         assert_eq!(rewards.len(), 20);
@@ -367,13 +371,7 @@ mod tests {
             assert_eq!((reward.beat, reward.consistency), (beat, 1.0), "{code}");
             assert_eq!(reward.total, 5.0 * beat + 1.0);
         }
-        let rule = RewardRule {
-            beat: BeatReward::Reference,
-            beat_weight: 5.0,
-            consistency_weight: 0.0,
-            slow_weight: 0.0,
-            speed_weight: 0.0,
-        };
+        let rule = self::rule(BeatReward::Reference, 5.0, 0.0);
         let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
         let good = rewards.iter().enumerate().filter(|(_, r)| r.total == 5.0);
         assert_eq!(good.map(|(code, _)| code).collect::<Vec<_>>(), [2, 7]);
@@ -395,13 +393,7 @@ mod tests {
 
     #[test]
     fn a_dance_that_is_slowest_on_the_beats_goes_with_the_pulse() {
-        let rule = RewardRule {
-            beat: BeatReward::Pulse,
-            beat_weight: 1.0,
-            consistency_weight: 0.0,
-            slow_weight: 0.0,
-            speed_weight: 0.0,
-        };
+        let rule = rule(BeatReward::Pulse, 1.0, 0.0);
         let positions = dance(200);
         // The speed is slowest at frames 20, 60, 100, ..; its smoothing mirrors the ends.
         let mean_reward = |first: usize| {
