@@ -4,7 +4,7 @@
 use crate::testing;
 use std::{fs, path::Path, process::Command, sync::Arc};
 
-use crate::common::swinging;
+use crate::common::{alone, swinging};
 use bailando::model::ModelDirectory;
 use bailando_train::{
     export::skeleton,
@@ -119,7 +119,7 @@ fn weights(folder: &Path) -> Vec<(String, Vec<u8>)> {
 // One test: stages are expensive to get to.
 #[test]
 fn rewards_move_the_policy() {
-    let _alone = crate::common::alone();
+    let _alone = alone();
     let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let [first, second] = folders.each_ref().map(|folder| folder.path());
     let config = run_to_gpt(first);
@@ -244,7 +244,7 @@ fn adapts(config: &Config, folder: &Path) {
 /// From a data folder and an audio file to two model directories, by the commands themselves.
 #[test]
 fn commands_train_and_adapt() {
-    let _alone = crate::common::alone();
+    let _alone = alone();
     let data = testing::TestFolder::good(&skeleton(0.93));
     data.write();
     let folder = tempfile::tempdir().unwrap();

@@ -4,9 +4,9 @@ use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    sync::{Mutex, MutexGuard},
 };
 
+use crate::common::alone;
 use crate::testing::{FRAMES, TestFolder, clicks, dance};
 use bailando_train::{
     export::skeleton,
@@ -20,12 +20,6 @@ const STAGES: [(Stage, Load, &str); 3] = [
     (Stage::Velocity, Load::Motion, "velocity"),
     (Stage::Gpt, Load::Music, "gpt"),
 ];
-
-/// The random generator of the CPU backend belongs to the process.
-fn alone() -> MutexGuard<'static, ()> {
-    static ALONE: Mutex<()> = Mutex::new(());
-    ALONE.lock().unwrap()
-}
 
 /// Few steps with the `tiny` preset; run and cache lie in `out`.
 fn config(data: &Path, out: &Path) -> Config {
@@ -77,7 +71,6 @@ fn tensors(config: &Config, stage: &str) -> BTreeMap<String, Vec<u8>> {
 
 #[test]
 fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
-    let _alone = crate::common::alone();
     let _alone = alone();
     let folder = TestFolder::good(&skeleton(0.93));
     let out = tempfile::tempdir().unwrap();
@@ -102,7 +95,6 @@ fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
 
 #[test]
 fn nothing_of_the_test_split_reaches_a_checkpoint() {
-    let _alone = crate::common::alone();
     let _alone = alone();
     let folders = [0, 1].map(|_| TestFolder::good(&skeleton(0.93)));
     let absurd = dance(&skeleton(0.93), FRAMES, 9) * 1e6;
@@ -124,7 +116,6 @@ fn nothing_of_the_test_split_reaches_a_checkpoint() {
 
 #[test]
 fn the_references_files_train_with_their_own_rows() {
-    let _alone = crate::common::alone();
     let _alone = alone();
     let (data, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     for (split, seed) in [("train", 1), ("test", 2)] {
@@ -148,7 +139,6 @@ fn the_references_files_train_with_their_own_rows() {
 
 #[test]
 fn aist_dances_train_and_find_their_songs_in_a_folder_of_their_own() {
-    let _alone = crate::common::alone();
     let _alone = alone();
     let (folder, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let (root, songs) = (folder.path().join("aist"), folder.path().join("songs"));

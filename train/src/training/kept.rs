@@ -40,11 +40,10 @@ pub(super) fn checkpoint_path(run: &RunConfig, stage: &str) -> PathBuf {
 
 /// Parses a fact.
 pub(super) fn parsed<T: FromStr>(facts: &Facts, name: &str) -> Result<T, String> {
-    let text = facts
-        .get(name)
-        .ok_or_else(|| format!("fact `{name}` is missing"))?;
-    let failed = |_| format!("fact `{name}` has the impossible value `{text}`");
-    text.parse().map_err(failed)
+    let value = facts.get(name).and_then(|text| text.parse().ok());
+    value.ok_or_else(|| {
+        format!("was made by another version (`{name}`): use another run.folder, or delete it")
+    })
 }
 
 /// Whether a checkpoint has all the steps that the settings ask for. Asking for more later makes
