@@ -16,9 +16,9 @@ struct Knot {
     late: f64,
 }
 
-/// The dance with each of its beats moved towards the nearest of `grid_beats_s` (seconds from frame 0), by at
-/// most `most` frames; in between it is a little slower or faster, without a jump in speed. As long as before,
-/// and the same where there is nothing to move.
+/// Moves each beat of a motion towards the nearest of `grid_beats_s` (seconds from frame 0), by at
+/// most `most` frames; in between it is a little slower or faster, without a jump in speed. As long
+/// as before, and the same where there is nothing to move.
 #[must_use]
 pub fn quantised(motion: &Motion, grid_beats_s: &[f64], most: usize) -> Motion {
     let Some(last) = motion.frames().checked_sub(1) else {

@@ -1,8 +1,8 @@
-//! Dense float tensors, as read from a checkpoint and as written into a graph.
+//! Dense float tensors on the host, as read from a checkpoint and written into a graph.
 
 /// A dense tensor in row-major order.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Tensor {
+pub struct HostTensor {
     shape: Vec<usize>,
     data: Vec<f32>,
 }
@@ -17,8 +17,8 @@ pub struct ShapeMismatch {
     pub values: usize,
 }
 
-impl Tensor {
-    /// A tensor of `shape` holding `data` in row-major order.
+impl HostTensor {
+    /// Makes a tensor of `shape` from `data` in row-major order.
     ///
     /// # Errors
     /// [`ShapeMismatch`] when the product of the shape is not the number of values.
@@ -33,31 +33,31 @@ impl Tensor {
         }
     }
 
-    /// A tensor whose value at flat index `i` is `value(i)`.
+    /// Makes a tensor whose value at flat index `i` is `value(i)`.
     pub(crate) fn from_fn(shape: Vec<usize>, value: impl FnMut(usize) -> f32) -> Self {
         let data = (0..shape.iter().product()).map(value).collect();
         Self { shape, data }
     }
 
-    /// Sizes of the dimensions.
+    /// Returns the sizes of the dimensions.
     #[must_use]
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
 
-    /// Size of one dimension; 0 for a dimension that is not there.
+    /// Returns the size of one dimension; 0 for a missing dimension.
     #[must_use]
     pub fn dim(&self, axis: usize) -> usize {
         self.shape.get(axis).copied().unwrap_or(0)
     }
 
-    /// The values in row-major order.
+    /// Returns the values in row-major order.
     #[must_use]
     pub fn data(&self) -> &[f32] {
         &self.data
     }
 
-    /// Rows `from..to` of the first dimension.
+    /// Copies the rows `from..to` of the first dimension.
     pub(crate) fn rows(&self, from: usize, to: usize) -> Self {
         let row: usize = self.shape.iter().skip(1).product();
         let to = to.min(self.dim(0));
@@ -73,7 +73,7 @@ impl Tensor {
         }
     }
 
-    /// The `[columns, rows]` transpose of a `[rows, columns]` matrix.
+    /// Returns the `[columns, rows]` transpose of a `[rows, columns]` matrix.
     pub(crate) fn transposed(&self) -> Self {
         let (rows, columns) = (self.dim(0), self.dim(1));
         let mut data = Vec::with_capacity(self.data.len());
@@ -86,7 +86,7 @@ impl Tensor {
         }
     }
 
-    /// Several tensors one after the other along the first dimension.
+    /// Joins tensors along the first dimension.
     pub(crate) fn stacked(parts: &[&Self]) -> Self {
         let mut shape = parts
             .first()
@@ -102,7 +102,7 @@ impl Tensor {
     }
 }
 
-/// Product of `shape`, unless it overflows.
+/// Returns the product of `shape`, unless it overflows.
 pub(crate) fn elements(shape: &[usize]) -> Option<usize> {
     shape
         .iter()
@@ -113,8 +113,8 @@ pub(crate) fn elements(shape: &[usize]) -> Option<usize> {
 mod tests {
     use super::*;
 
-    fn counting(shape: &[usize]) -> Tensor {
-        Tensor::from_fn(shape.to_vec(), |i| i as f32)
+    fn counting(shape: &[usize]) -> HostTensor {
+        HostTensor::from_fn(shape.to_vec(), |i| i as f32)
     }
 
     #[test]
@@ -130,15 +130,15 @@ mod tests {
         let last = tensor.rows(2, 9);
         assert_eq!(last.shape(), [1, 2]);
         assert_eq!(last.data(), [4.0, 5.0]);
-        let stacked = Tensor::stacked(&[&last, &tensor.rows(0, 1)]);
+        let stacked = HostTensor::stacked(&[&last, &tensor.rows(0, 1)]);
         assert_eq!(stacked.shape(), [2, 2]);
         assert_eq!(stacked.data(), [4.0, 5.0, 0.0, 1.0]);
     }
 
     #[test]
     fn a_shape_that_does_not_fit_is_refused() {
-        assert!(Tensor::new(vec![2, 2], vec![0.0; 3]).is_err());
-        assert!(Tensor::new(vec![usize::MAX, 2], vec![]).is_err());
-        assert!(Tensor::new(vec![3], vec![0.0; 3]).is_ok());
+        assert!(HostTensor::new(vec![2, 2], vec![0.0; 3]).is_err());
+        assert!(HostTensor::new(vec![usize::MAX, 2], vec![]).is_err());
+        assert!(HostTensor::new(vec![3], vec![0.0; 3]).is_ok());
     }
 }

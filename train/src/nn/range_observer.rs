@@ -1,17 +1,16 @@
-//! What weights are multiplied with: post-training quantisation wants its range.
+//! Ranges of the inputs of weights, for post-training quantisation.
 
 use std::sync::{Mutex, PoisonError};
 
-use burn_tensor::{Tensor as Device, backend::Backend};
+use burn_tensor::{Tensor, backend::Backend};
 
-use super::parameters::values;
+use super::host::values;
 
 /// The least and the largest inputs of tensors, added up over passes.
 ///
-/// Their means leave out what only some passes see: a number in a thousand times a thousand would cost all
-/// others their precision.
+/// Means ignore rare extremes: one number in a million would cost all others their precision.
 #[derive(Debug)]
-pub(super) struct Watch {
+pub(super) struct RangeObserver {
     seen: Mutex<Vec<Seen>>,
 }
 
@@ -22,16 +21,16 @@ struct Seen {
     passes: u32,
 }
 
-impl Watch {
-    /// Of as many tensors, none of which has been used.
+impl RangeObserver {
+    /// Observes this many tensors, none of which has been used.
     pub(super) fn new(tensors: usize) -> Self {
         Self {
             seen: Mutex::new(vec![Seen::default(); tensors]),
         }
     }
 
-    /// A tensor's next input.
-    pub(super) fn see<B: Backend, const D: usize>(&self, tensor: usize, input: &Device<B, D>) {
+    /// Records a tensor's next input.
+    pub(super) fn record<B: Backend, const D: usize>(&self, tensor: usize, input: &Tensor<B, D>) {
         let input = values(input);
         let [least, largest] = input.iter().fold(
             [f32::INFINITY, f32::NEG_INFINITY],
@@ -45,7 +44,7 @@ impl Watch {
         }
     }
 
-    /// Mean least and largest input of every tensor; none where it was not used.
+    /// Returns the mean least and largest input of every tensor; `None` where it was not used.
     pub(super) fn ranges(&self) -> Vec<Option<[f32; 2]>> {
         let seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         let mean = |seen: &Seen| {
@@ -64,10 +63,10 @@ mod tests {
 
     #[test]
     fn ranges_are_means_over_passes() {
-        let watch = Watch::new(2);
+        let observer = RangeObserver::new(2);
         for pass in [[-1.0, 3.0, 0.5], [-2.0, 1.0, 1.5]] {
-            watch.see(1, &Device::<Flex, 1>::from_floats(pass, &FlexDevice));
+            observer.record(1, &Tensor::<Flex, 1>::from_floats(pass, &FlexDevice));
         }
-        assert_eq!(watch.ranges(), [None, Some([-1.5, 2.25])]);
+        assert_eq!(observer.ranges(), [None, Some([-1.5, 2.25])]);
     }
 }

@@ -1,24 +1,24 @@
-//! Pasts that are not the recording's: codes replaced by any others, and codes that slip off the beat.
+//! Corrupted pasts: codes replaced by random ones, and codes shifted in time.
 //!
-//! Recorded dances are in time with their music, so a model that only ever saw them follows its own past
-//! codes: once it dances a passage in another tempo than the song's, nothing calls it back. Here a
-//! window's past comes piece by piece from a little earlier or later in the same dance, and what follows
-//! each code is learned as the recording has it: where past and music disagree about the beat, the music is right.
+//! Recordings are in time with their music, so a model of them may follow its own past codes alone:
+//! once it generates a passage in another tempo than the song's, nothing corrects it. Here parts of
+//! a window's past come from a little earlier or later in the same motion, while the targets stay
+//! those of the recording: where past and music disagree about the beat, the music is right.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use super::{FRAMES_PER_CODE, codes::Codes, config::GptConfig};
-use crate::data::Draw;
+use super::{codes::Codes, config::GptConfig};
+use crate::data::{Draw, FRAMES_PER_CODE};
 
-/// Most codes that slip together; then it is by how much that is drawn anew.
+/// Most codes that are shifted together; after them another shift is drawn.
 const LONGEST: usize = 16;
-/// Share of these that do not slip.
+/// Share of these runs that are not shifted.
 const STEADY: f64 = 0.25;
 
-/// How many windows slip, and how far.
+/// Shifts parts of a window's past in time.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Slips {
+pub(super) struct TimeShiftAugmentation {
     /// Share of the windows.
     pub(super) share: f64,
     /// Frames early or late, at most.
@@ -27,11 +27,11 @@ pub(super) struct Slips {
     pub(super) block: usize,
 }
 
-/// What a window shows instead of its own codes.
-pub(super) type Slipped = [Vec<i32>; 2];
+/// Codes that replace those of a window.
+pub(super) type ShiftedCodes = [Vec<i32>; 2];
 
-impl Slips {
-    /// As configured; `None` where no window slips.
+impl TimeShiftAugmentation {
+    /// Takes the settings; `None` where no window is shifted.
     pub(super) fn new(config: &GptConfig) -> Option<Self> {
         (config.slip_share > 0.0).then_some(Self {
             share: config.slip_share,
@@ -40,70 +40,70 @@ impl Slips {
         })
     }
 
-    /// The past of each window, or nothing where it stays as it is.
+    /// Draws the past of each window; `None` where it stays as it is.
     pub(super) fn draw(
         &self,
         codes: &Codes,
         windows: &[Draw],
         random: &mut ChaCha8Rng,
-    ) -> Vec<Option<Slipped>> {
+    ) -> Vec<Option<ShiftedCodes>> {
         let mut one = |window: &Draw| {
-            let slips = random.random_bool(self.share);
-            slips.then(|| self.slipped(codes, window, random))
+            let shifts = random.random_bool(self.share);
+            shifts.then(|| self.shifted(codes, window, random))
         };
         windows.iter().map(&mut one).collect()
     }
 
-    fn slipped(&self, codes: &Codes, window: &Draw, random: &mut ChaCha8Rng) -> Slipped {
-        let mut slipped = Slipped::default();
-        while slipped[0].len() < self.block {
-            let known = slipped[0].len();
+    fn shifted(&self, codes: &Codes, window: &Draw, random: &mut ChaCha8Rng) -> ShiftedCodes {
+        let mut shifted = ShiftedCodes::default();
+        while shifted[0].len() < self.block {
+            let known = shifted[0].len();
             let count = random.random_range(1..=LONGEST).min(self.block - known);
             let frame = window.phase + window.start + FRAMES_PER_CODE * known;
-            // Small ones are likelier: so it is where a dance is called back in time.
+            // Small shifts are likelier, as they are where the music corrects the timing early.
             let mut part = || random.random_range(0..=self.frames);
             let offset = part() + part();
-            let slipping = (frame + offset)
+            let shift = (frame + offset)
                 .checked_sub(self.frames)
                 .filter(|_| !random.random_bool(STEADY))
                 .and_then(|frame| run(codes, window, frame, count));
             let own = || run(codes, window, frame, count);
-            // A window's own codes are always there.
-            let Some(run) = slipping.or_else(own) else {
+            // A window's own codes always exist.
+            let Some(run) = shift.or_else(own) else {
                 break;
             };
-            for (half, run) in slipped.iter_mut().zip(run) {
+            for (half, run) in shifted.iter_mut().zip(run) {
                 half.extend_from_slice(run);
             }
         }
-        slipped
+        shifted
     }
 }
 
-/// So many codes of the window's dance from a frame on, if it has them.
+/// Returns `count` codes of the window's motion from a frame on, if it has them.
 fn run<'a>(codes: &'a Codes, window: &Draw, frame: usize, count: usize) -> Option<[&'a [i32]; 2]> {
     let [upper, lower] = codes.beginning_at(window, frame)?;
     Some([upper.get(..count)?, lower.get(..count)?])
 }
 
-/// How the past codes of a step's windows differ from the recordings'.
-pub(super) struct Disturbance {
+/// Changes of the past codes of a step's windows.
+pub(super) struct InputCorruption {
     /// One for each window, or an empty list.
-    pub(super) slips: Vec<Option<Slipped>>,
+    pub(super) shifts: Vec<Option<ShiftedCodes>>,
     /// Share of codes replaced by any of `codes` others.
     pub(super) noise: f64,
     pub(super) codes: i32,
     pub(super) random: ChaCha8Rng,
 }
 
-impl Disturbance {
-    /// Disturbs the codes of a half, `[windows, block]`.
-    pub(super) fn disturb(&mut self, codes: &mut [i32], half: usize, block: usize) {
-        let windows = codes.chunks_exact_mut(block).zip(&self.slips);
-        for (codes, slip) in windows {
-            let slipped = slip.iter().flat_map(|slip| &slip[half]);
-            for (code, &slipped) in codes.iter_mut().zip(slipped) {
-                *code = slipped;
+impl InputCorruption {
+    /// Corrupts the codes of a half, `[windows, block]`.
+    pub(super) fn apply(&mut self, codes: &mut [i32], half: usize, block: usize) {
+        let windows = codes.chunks_exact_mut(block).zip(&self.shifts);
+        for (codes, shift) in windows {
+            let shifted = shift.iter().flat_map(|shift| &shift[half]);
+            for (code, &shifted) in codes.iter_mut().zip(shifted) {
+                *code = shifted;
             }
         }
         if self.noise > 0.0 {
@@ -124,7 +124,7 @@ mod tests {
     const BLOCK: usize = 6;
     const LENGTH: usize = 12;
 
-    /// Of a dance whose upper code is the frame that it begins at, and the lower one that much below 0.
+    /// Returns the codes of a motion: upper codes are their first frame, lower ones its negative.
     fn codes() -> Codes {
         let phase = |phase: usize| {
             let frames = (0..LENGTH).map(|code| (PHASES * code + phase) as i32);
@@ -137,16 +137,13 @@ mod tests {
 
     fn window(start: usize) -> Draw {
         Draw {
-            dance: 0,
-            song: 0,
-            phase: 0,
             start,
-            mirrored: false,
+            ..Draw::default()
         }
     }
 
-    fn slips(share: f64) -> Slips {
-        Slips {
+    fn augmentation(share: f64) -> TimeShiftAugmentation {
+        TimeShiftAugmentation {
             share,
             frames: 11,
             block: BLOCK,
@@ -154,17 +151,17 @@ mod tests {
     }
 
     #[test]
-    fn a_slipped_past_is_the_same_dance_a_little_earlier_or_later() {
+    fn a_shifted_past_is_the_same_motion_a_little_earlier_or_later() {
         let windows = vec![window(16); 400];
-        let draw = |share| slips(share).draw(&codes(), &windows, &mut generator(1, 0));
+        let draw = |share| augmentation(share).draw(&codes(), &windows, &mut generator(1, 0));
         let found = draw(0.5);
         assert_eq!(found, draw(0.5));
         assert!(draw(0.0).iter().all(Option::is_none));
-        let slipped: Vec<&Slipped> = found.iter().flatten().collect();
-        assert!((140..260).contains(&slipped.len()), "{}", slipped.len());
+        let shifted: Vec<&ShiftedCodes> = found.iter().flatten().collect();
+        assert!((140..260).contains(&shifted.len()), "{}", shifted.len());
         let mut steady = 0;
         let mut offsets = Vec::new();
-        for [upper, lower] in &slipped {
+        for [upper, lower] in &shifted {
             assert_eq!(upper.len(), BLOCK);
             assert!(
                 upper
@@ -189,9 +186,10 @@ mod tests {
     }
 
     #[test]
-    fn a_window_at_the_dances_end_slips_only_to_what_there_is() {
+    fn a_window_at_the_end_is_shifted_only_to_codes_that_exist() {
         for start in [0, PHASES * (LENGTH - BLOCK)] {
-            let found = slips(1.0).draw(&codes(), &[window(start); 50], &mut generator(2, 0));
+            let found =
+                augmentation(1.0).draw(&codes(), &[window(start); 50], &mut generator(2, 0));
             let all = found.iter().flatten().flat_map(|[upper, _]| upper);
             assert_eq!(all.clone().count(), 50 * BLOCK);
             assert!(
@@ -202,28 +200,28 @@ mod tests {
     }
 
     #[test]
-    fn what_slipped_is_shown() {
-        let mut disturbance = Disturbance {
-            slips: vec![Some([vec![7, 8, 9], vec![-7, -8, -9]]), None],
+    fn shifted_codes_replace_those_of_their_windows() {
+        let mut corruption = InputCorruption {
+            shifts: vec![Some([vec![7, 8, 9], vec![-7, -8, -9]]), None],
             noise: 0.0,
             codes: 10,
             random: generator(1, 0),
         };
         let mut lower = [1, 2, 3, 4, 5, 6];
-        disturbance.disturb(&mut lower, 1, 3);
+        corruption.apply(&mut lower, 1, 3);
         assert_eq!(lower, [-7, -8, -9, 4, 5, 6]);
     }
 
     #[test]
     fn noise_replaces_its_share_of_the_codes() {
-        let mut disturbance = Disturbance {
-            slips: Vec::new(),
+        let mut corruption = InputCorruption {
+            shifts: Vec::new(),
             noise: 0.25,
             codes: 10,
             random: generator(1, 0),
         };
         let mut codes = vec![-1; 4_000];
-        disturbance.disturb(&mut codes, 0, 40);
+        corruption.apply(&mut codes, 0, 40);
         let replaced = codes.iter().filter(|&&code| code != -1);
         assert!(replaced.clone().all(|code| (0..10).contains(code)));
         assert!((900..1_100).contains(&replaced.count()));
