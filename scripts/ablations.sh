@@ -1,14 +1,13 @@
 #!/usr/bin/env bash
-# About 20 minutes on two idle cores, and some minutes more the first time, for the songs' features.
-#
-# Trains a small model and the same model with one part left out at a time (paper Table 2), lets
-# each dance to the test songs with two seeds, evaluates the dances, and prints a Markdown table.
-# docs/training.md, "Ablations", says what that can show. Started again it goes on where it was
-# stopped; variants that are finished are left alone.
+# Trains a small model and the same model with one part left out at a time (paper, Table 2), generates
+# dances to the test songs with two seeds, evaluates them, and prints a Markdown table.
+# docs/training.md, "Ablations", says what that can show. It takes about 20 minutes on two idle cores,
+# and some minutes more the first time, for the songs' features. A second start resumes where the
+# first was stopped; finished variants are left alone.
 #
 # Usage: scripts/ablations.sh [DATA]    (default: ../shared/data/salsa)
-#   OUT=DIR       where runs, dances and scores go (default: runs/ablations)
-#   BIN=DIR       where bailando and bailando-train are (default: builds them, target/release)
+#   OUT=DIR       folder of runs, dances and scores (default: runs/ablations)
+#   BIN=DIR       folder of bailando and bailando-train (default: builds them, target/release)
 #   PRESET=FILE   settings of the full model (default: train/presets/ablation.toml)
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -46,7 +45,7 @@ settings() {
     mv "$file.partial" "$file"
 }
 
-# Takes finished stages from the full model: what the variant changes comes after them.
+# Copies finished stages of the full model: the variant changes only later ones.
 share() {
     local folder=$1 stage
     shift

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# What docs/evaluation.md says of the ballroom set: its test songs danced to by a model that was trained on its other
-# pieces, three times with three candidates and three times with one; the recordings through the VQ-VAE alone; whether
-# the model hears; and all that as ratios to the recordings' own row, beside those of published tables.
-# Five to seven minutes on two cores.
+# Makes the tables of docs/evaluation.md about the ballroom set: dances to its test songs by a model that
+# was trained on its other pieces, three times with three candidates and three times with one; the
+# recordings through the VQ-VAE alone; how much the music matters; and all of that as ratios to the
+# recordings' own row, beside those of published tables. Takes five to seven minutes on two cores.
 # Usage: scripts/evaluate-melody.sh MODEL [DATA [OUT]]
-#   MODEL  model directory; one that is trained on this set is for this measurement and may not be committed
+#   MODEL  model directory; a model trained on this set serves this measurement only, never commit it
 #   DATA   data folder with a test split, songs and grid_beats_s  (default ../shared/data/dance-with-melody)
-#   OUT    where dances and scores go                             (default target/melody)
+#   OUT    folder of dances and scores                            (default target/melody)
 # BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and bailando-train).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -113,7 +113,7 @@ measure() {
     shift 2
     "$bailando" evaluate --reference "$reference" --split test --json "$@" > "$out/$name.scores.json"
 }
-# samples NAME REFERENCE OPTION .. : three ways to cut dances into samples
+# samples NAME REFERENCE OPTION ..: three ways to cut dances into samples
 samples() {
     local name=$1
     shift
@@ -214,5 +214,5 @@ rows += [[title, "40 of 20 s, AIST++", *(cell([figure / own], 2) for figure, own
 table(["", "samples", *(title for title, *_ in DISTANCES), "beat align score ↑"], rows)
 PY
 
-printf '\n## What it hears\n\n'
+printf '\n## How much the music matters\n\n'
 "$trainer" music-gap "$data" --model-dir "$model"

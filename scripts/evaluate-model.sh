@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# The figures of a model card: the test split of a data folder danced to by a model, a few times, and
-# measured against the recordings; the recordings through its VQ-VAE alone, measured the same way;
-# whether it hears; and ten dances each to songs of other genres (and DATA/demo/demo.flac, if there is one).
+# Makes the figures of a model card: dances to the songs of a data folder's test split, a few for each,
+# measured against the recordings; the recordings through the model's VQ-VAE alone, measured the same
+# way; how much the music matters; and ten dances each to songs of other genres (and to
+# DATA/demo/demo.flac, if it exists).
 # Usage: scripts/evaluate-model.sh [MODEL [DATA [OUT]]]
 #   MODEL  model directory           (default models/default)
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
-#   OUT    where dances and the plot go                       (default target/evaluation)
+#   OUT    folder of the dances and the plot                  (default target/evaluation)
 # BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and bailando-train),
-# SEEDS says how many dances there are to every song of the test split (default 3).
+# SEEDS is the number of dances to every song of the test split (default 3).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -67,7 +68,7 @@ PY
 printf '\n## Recordings through the VQ-VAE alone\n\n'
 measure_test --generated "$out/reconstructed"
 
-printf '\n## What it hears\n\n'
+printf '\n## How much the music matters\n\n'
 "$trainer" music-gap "$data" --model-dir "$model"
 
 rm -rf "$out/songs" "$out/new"
@@ -82,5 +83,5 @@ for seed in {1..10}; do
         dance "$song" "$out/new/seed$seed/$name.json" "$seed"
     done
 done
-printf '\n## Songs it never met\n\n'
+printf '\n## Songs of other genres\n\n'
 measure --generated "$out/new" --seeds 10 --new-songs "$out/songs"
