@@ -62,9 +62,9 @@ fn string(rest: &str) -> Option<usize> {
         .chars()
         .next()
         .filter(|c| *c == '"' || (*c == '\'' && prefix < 2))?;
-    let mut characters = body.char_indices().skip(1);
+    let characters = body.char_indices().skip(1);
     let mut escaped = false;
-    while let Some((at, c)) = characters.next() {
+    for (at, c) in characters {
         if quote == '\'' && !escaped && c != '\\' && at == 1 {
             // A lifetime has no closing quote after its first character.
             let second = body[1 + c.len_utf8()..].chars().next();
