@@ -14,7 +14,7 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
-    formats::Dance,
+    formats::GeneratedMotion,
     motion::forward,
 };
 
@@ -45,7 +45,11 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-fn measure(dance: &Dance, as_written: &mut Distances, root_fixed: &mut Distances) -> Result<()> {
+fn measure(
+    dance: &GeneratedMotion,
+    as_written: &mut Distances,
+    root_fixed: &mut Distances,
+) -> Result<()> {
     let skeleton = forward(&dance.skeleton, &dance.animation)?;
     for (decoded, posed) in dance.positions.outer_iter().zip(skeleton.outer_iter()) {
         for (a, b) in decoded.outer_iter().zip(posed.outer_iter()) {

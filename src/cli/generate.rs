@@ -13,7 +13,7 @@ use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange},
     engine::{Choreographer, EngineConfig, GenerationOptions, MAX_CANDIDATES},
-    formats::{Codes, Dance, Tail},
+    formats::{Codes, Continuation, GeneratedMotion},
     model::WindowKind,
     motion,
     npy::read_array,
@@ -48,7 +48,7 @@ pub(super) struct GenerateArgs {
     sampling: SamplingArgs,
     /// The `tail` in the JSON of an earlier dance, from whose end the new one goes on
     #[arg(long, value_name = "TAIL")]
-    continue_from: Option<Tail>,
+    continue_from: Option<Continuation>,
     #[command(flatten)]
     song: SongArgs,
     #[command(flatten)]
@@ -269,7 +269,7 @@ fn one_song(
     Ok(())
 }
 
-fn report(dance: &Dance, target: &Path, started: Instant) {
+fn report(dance: &GeneratedMotion, target: &Path, started: Instant) {
     for warning in &dance.warnings {
         say_error(&format!("warning: {warning}"));
     }

@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    formats::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat},
+    formats::{BvhUnit, Encoding, GeneratedMotion, JsonOptions, OutputFormat},
     motion::Positions,
 };
 use clap::ValueEnum;
@@ -131,7 +131,7 @@ impl OutputArgs {
     /// Writes `dance` to `path`.
     pub(super) fn write(
         &self,
-        dance: &Dance,
+        dance: &GeneratedMotion,
         path: &Path,
         format: FileFormat,
     ) -> anyhow::Result<()> {

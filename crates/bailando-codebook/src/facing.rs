@@ -4,7 +4,7 @@ use glam::{Quat, Vec3};
 use ndarray::Array3;
 
 use super::{Half, still::Pose};
-use bailando_motion::facings;
+use bailando_motion::headings;
 
 /// Turns each half of `pose` to face +z by itself, and says how far the halves were turned away.
 ///
@@ -39,7 +39,7 @@ fn facing(pose: &[[f32; 3]], inside: impl Fn(usize) -> bool) -> f32 {
             .and_then(|place| place.get(axis).copied())
             .unwrap_or(0.0)
     });
-    facings(&positions).first().copied().unwrap_or(0.0)
+    headings(&positions).first().copied().unwrap_or(0.0)
 }
 
 fn turned(place: [f32; 3], angle: f32) -> [f32; 3] {

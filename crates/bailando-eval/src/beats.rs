@@ -4,7 +4,7 @@
 use rand::{Rng, RngExt};
 
 use super::body::{JOINTS, Pose};
-use bailando_motion::beat_nearness;
+use bailando_motion::beat_align_score;
 
 /// Random shifts that a chance level is the mean of.
 const SHIFTS: usize = 20;
@@ -55,8 +55,8 @@ impl BeatScore {
             return None;
         }
         Some(Self {
-            align: beat_nearness(&music, dance_beats),
-            align_dance: beat_nearness(dance_beats, &music),
+            align: beat_align_score(&music, dance_beats),
+            align_dance: beat_align_score(dance_beats, &music),
             chance: (frames > 2 * LEAST_SHIFT).then(|| chance(frames, &music, dance_beats, random)),
         })
     }
@@ -69,7 +69,7 @@ fn chance(frames: usize, music: &[usize], dance: &[usize], random: &mut impl Rng
             .iter()
             .map(|beat| (beat + shift) % (frames - 1))
             .collect();
-        beat_nearness(&shifted, dance)
+        beat_align_score(&shifted, dance)
     });
     scores.sum::<f64>() / SHIFTS as f64
 }

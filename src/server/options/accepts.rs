@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::formats::Tail;
+use crate::formats::Continuation;
 use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
 
 /// What an option accepts.
@@ -38,7 +38,7 @@ impl Accepts {
             Self::Number { most } => number().is_some_and(|value| (0.0..=most).contains(&value)),
             Self::PositiveNumber => number().is_some_and(|value| value > 0.0),
             Self::Boolean => text.parse::<bool>().is_ok(),
-            Self::Tail => text.parse::<Tail>().is_ok(),
+            Self::Tail => text.parse::<Continuation>().is_ok(),
         }
     }
 

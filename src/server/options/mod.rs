@@ -12,7 +12,7 @@ use super::error::ServerError;
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    formats::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat, Tail},
+    formats::{BvhUnit, Continuation, Encoding, GeneratedMotion, JsonOptions, OutputFormat},
     model::WindowKind,
 };
 
@@ -34,7 +34,7 @@ pub(crate) struct RequestOptions {
     redo: Option<bool>,
     start_upper: Option<u32>,
     start_lower: Option<u32>,
-    continue_from: Option<Tail>,
+    continue_from: Option<Continuation>,
     window: Option<WindowKind>,
     hop: Option<usize>,
     offset_s: Option<f64>,
@@ -143,7 +143,11 @@ impl RequestOptions {
     }
 
     /// Writes `dance` as asked for.
-    pub(crate) fn write(&self, dance: &Dance, format: OutputFormat) -> crate::Result<Vec<u8>> {
+    pub(crate) fn write(
+        &self,
+        dance: &GeneratedMotion,
+        format: OutputFormat,
+    ) -> crate::Result<Vec<u8>> {
         let bytes = format.write(dance, &self.json(), self.bvh_unit.unwrap_or_default())?;
         Ok(bytes)
     }
@@ -217,7 +221,7 @@ mod tests {
                 redo: Some(false),
                 start_upper: Some(1),
                 start_lower: Some(2),
-                continue_from: Some(Tail::new(
+                continue_from: Some(Continuation::new(
                     "01234567",
                     Codes {
                         upper: vec![1],

@@ -9,7 +9,7 @@ use axum::{
 };
 
 use crate::{
-    formats::{Dance, DanceJson, OutputFormat, Timings},
+    formats::{GeneratedMotion, MotionJson, OutputFormat, Timings},
     server::{
         body::IncomingBody,
         envelope::time_header,
@@ -44,7 +44,7 @@ use crate::{
         (
             status = 200,
             description = "The dance.",
-            content((DanceJson<'static> = "application/json"), (String = "application/x-bvh")),
+            content((MotionJson<'static> = "application/json"), (String = "application/x-bvh")),
             headers(
                 ("x-seed" = u64, description = "The seed that was used."),
                 ("x-tail" = String, description = "The option `continue_from` of a dance that is to go on from the end of this one; the JSON carries it as `tail`."),
@@ -134,12 +134,20 @@ pub(crate) struct Rendered {
 }
 
 impl Rendered {
-    pub(crate) fn new(dance: &Dance, body: Vec<u8>, format: OutputFormat, room: Share) -> Self {
+    pub(crate) fn new(
+        dance: &GeneratedMotion,
+        body: Vec<u8>,
+        format: OutputFormat,
+        room: Share,
+    ) -> Self {
         Self {
             body,
             format,
             seed: dance.seed,
-            tail: dance.tail.as_ref().map(crate::formats::Tail::to_text),
+            tail: dance
+                .continuation
+                .as_ref()
+                .map(crate::formats::Continuation::to_text),
             timings: dance.timings,
             warnings: dance.warnings.clone(),
             room,

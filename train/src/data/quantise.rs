@@ -87,7 +87,7 @@ fn late_at(knots: &[Knot], frame: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use bailando::motion::beat_nearness;
+    use bailando::motion::beat_align_score;
 
     use super::*;
     use crate::data::JOINTS;
@@ -119,8 +119,8 @@ mod tests {
         let late = dance(400, 40.0, 3.0);
         let on_time = quantised(&late, &grid(40.0), 4);
         let counts: Vec<usize> = (1..9).map(|count| 40 * count).collect();
-        assert!(beat_nearness(&counts, &beats(&late)) < 0.7);
-        assert!(beat_nearness(&counts, &beats(&on_time)) > 0.93);
+        assert!(beat_align_score(&counts, &beats(&late)) < 0.7);
+        assert!(beat_align_score(&counts, &beats(&on_time)) > 0.93);
         assert_eq!(on_time.frames(), late.frames());
     }
 

@@ -4,7 +4,9 @@ use std::ops::Range;
 
 use bailando::{
     evaluation::{Pose, speed},
-    motion::{Positions, beat_meeting, beat_nearness, dance_beats, slow_share, smoothed},
+    motion::{
+        Positions, beat_align_score, dance_beats, mutual_beat_alignment, slow_share, smoothed,
+    },
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -125,7 +127,7 @@ impl BeatReward {
             Self::Paper => has_dance || !has_music,
             Self::Reference => has_dance && has_music,
             Self::Align => {
-                let meeting = beat_meeting(music, dance, frames);
+                let meeting = mutual_beat_alignment(music, dance, frames);
                 return meeting.map_or(0.0, |meeting| 2.0 * meeting - 1.0);
             }
             Self::Margin => return margin(music, dance, frames),
@@ -146,7 +148,7 @@ fn margin(music: &[usize], dance: &[usize], frames: Range<usize>) -> f64 {
         // At either end of the music the other side's distance stands for both.
         let (before, after) = (before.or(after)?, after.or(before)?);
         let around: Vec<usize> = (beat.saturating_sub(before)..beat + after.max(1)).collect();
-        Some(beat_nearness(&[beat], dance) - beat_nearness(&around, dance))
+        Some(beat_align_score(&[beat], dance) - beat_align_score(&around, dance))
     };
     let first = music.partition_point(|&beat| beat < frames.start);
     let end = music.partition_point(|&beat| beat < frames.end);

@@ -16,7 +16,7 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use crate::{
-    formats::DanceJson,
+    formats::MotionJson,
     server::{
         access::Client,
         body::IncomingBody,
@@ -205,7 +205,7 @@ pub(crate) async fn status(
         (
             status = 200,
             description = "The dance.",
-            content((DanceJson<'static> = "application/json"), (String = "application/x-bvh")),
+            content((MotionJson<'static> = "application/json"), (String = "application/x-bvh")),
             headers(
                 ("x-seed" = u64, description = "The seed that was used."),
                 ("x-tail" = String, description = "The option `continue_from` of a dance that is to go on from the end of this one."),

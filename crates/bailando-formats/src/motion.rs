@@ -2,45 +2,54 @@
 
 use std::time::Duration;
 
-use super::{FormatError, Tail};
 use bailando_motion::{Animation, Positions, PositionsSource, Skeleton};
+use serde::{Serialize, Serializer};
 
-/// Pose codes of the two half bodies, one pair per 8 frames at 60 fps.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Codes {
-    /// Upper half.
-    pub upper: Vec<u32>,
-    /// Lower half.
-    pub lower: Vec<u32>,
-}
+use crate::{codes::Codes, continuation::Continuation, error::FormatError};
 
-/// What was heard in the music (column 53 at 30,720 Hz, profile 0.11).
-#[derive(Clone, Debug, PartialEq)]
+/// Tempo and beats of the music (column 53 at 30,720 Hz, profile 0.11).
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = Music))]
 pub struct MusicInfo {
     /// Beats per minute; 0 when none were found.
     pub tempo_bpm: f64,
-    /// Beats in seconds from the start of the dance.
+    /// Beats in seconds from the start of the motion.
     pub beats_s: Vec<f64>,
 }
 
-/// Wall time per stage.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// Wall time per stage; milliseconds where it is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Timings {
-    /// Waiting for a place in the model's queue.
+    /// Waiting in the queue, then for the model.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub queue: Duration,
     /// Decoding and resampling the audio.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub decode: Duration,
     /// Music features.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub features: Duration,
     /// Codes and decoded motion.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub inference: Duration,
     /// Rotations, floor and frame rate.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub motion: Duration,
 }
 
-/// A dance: motion on a skeleton, and how it came about.
+fn milliseconds<S: Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(time.as_micros() as f64 / 1000.0)
+}
+
+/// Motion on a skeleton, and how it came about.
 #[derive(Clone, Debug)]
-pub struct Dance {
+pub struct GeneratedMotion {
     /// Name of the model, from its manifest.
     pub model: String,
     /// The seed that was used.
@@ -61,34 +70,38 @@ pub struct Dance {
     pub timings: Timings,
     /// What was trimmed, truncated or assumed, in plain words.
     pub warnings: Vec<String>,
-    /// Where another dance can go on.
-    pub tail: Option<Tail>,
+    /// The end, from which another motion can continue.
+    pub continuation: Option<Continuation>,
 }
 
-impl Dance {
-    /// Checks that what is written fits together and is finite: formats rely on it.
-    pub(super) fn check(&self) -> Result<(), FormatError> {
+impl GeneratedMotion {
+    /// Checks that the parts fit together and are finite: formats rely on it.
+    pub(crate) fn check(&self) -> Result<(), FormatError> {
         let fail = |message: String| Err(FormatError::Inconsistent(message));
         if let Err(error) = self.skeleton.validate() {
             return fail(error.to_string());
         }
         let joints = self.skeleton.joints.len();
-        let frames = self.animation.root.len();
-        if self.animation.fps == 0 {
+        let Animation {
+            fps,
+            root,
+            rotations,
+        } = &self.animation;
+        if *fps == 0 {
             return fail("0 frames per second".into());
         }
-        if self.animation.rotations.len() != frames || self.positions.dim() != (frames, joints, 3) {
+        let frames = root.len();
+        if rotations.len() != frames || self.positions.dim() != (frames, joints, 3) {
             return fail(format!(
                 "{frames} roots, {} frames of rotations, positions {:?} for {joints} joints",
-                self.animation.rotations.len(),
+                rotations.len(),
                 self.positions.shape()
             ));
         }
-        let rotations = &self.animation.rotations;
         if let Some(frame) = rotations.iter().position(|pose| pose.len() != joints) {
             return fail(format!("not {joints} rotations in frame {frame}"));
         }
-        let finite = self.animation.root.iter().all(|p| p.is_finite())
+        let finite = root.iter().all(|p| p.is_finite())
             && rotations.iter().flatten().all(|q| q.is_finite())
             && self.positions.iter().all(|v| v.is_finite());
         if !finite {
