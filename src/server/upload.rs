@@ -13,10 +13,11 @@ use super::{
     config::{ByteSize, Limits},
     error::ServerError,
     form::{self, FormBody, Kept},
-    media::{Media, is_lossless},
+    media::Media,
     options::{LONGEST_VALUE, RequestOptions, shorten},
     uploads::UploadPermit,
 };
+use crate::audio::is_lossless;
 
 /// A request that has arrived completely.
 pub(crate) struct Upload {
@@ -154,7 +155,7 @@ async fn collect<E>(
     Ok(())
 }
 
-/// Collects audio up to the limit that its first bytes give it.
+/// Collects audio up to the limit of its container.
 struct AudioBuffer<'a> {
     bytes: BytesMut,
     // Believed only where it is too large: nothing is reserved for it.
@@ -163,9 +164,6 @@ struct AudioBuffer<'a> {
 }
 
 impl<'a> AudioBuffer<'a> {
-    /// Bytes that tell wav and flac.
-    const PREFIX: usize = 12;
-
     fn new(limits: &'a Limits, declared: Option<u64>) -> Self {
         Self {
             bytes: BytesMut::new(),
@@ -175,28 +173,15 @@ impl<'a> AudioBuffer<'a> {
     }
 
     fn push(&mut self, chunk: &[u8]) -> Result<(), ServerError> {
-        let limit = self.limit(chunk);
-        let total = self.bytes.len() as u64 + chunk.len() as u64;
-        if total.max(self.declared) > limit.0 {
+        self.bytes.extend_from_slice(chunk);
+        let limit = match is_lossless(&self.bytes) {
+            Some(false) => self.limits.payload_limit,
+            Some(true) | None => self.limits.payload_limit_lossless,
+        };
+        if self.declared.max(self.bytes.len() as u64) > limit.0 {
             return Err(too_large(limit, self.limits));
         }
-        self.bytes.extend_from_slice(chunk);
         Ok(())
-    }
-
-    fn limit(&self, chunk: &[u8]) -> ByteSize {
-        let mut prefix = [0; Self::PREFIX];
-        let seen = self.bytes.iter().chain(chunk);
-        let known = prefix
-            .iter_mut()
-            .zip(seen)
-            .map(|(to, from)| *to = *from)
-            .count();
-        if known < Self::PREFIX || is_lossless(&prefix) {
-            self.limits.payload_limit_lossless
-        } else {
-            self.limits.payload_limit
-        }
     }
 
     fn finish(self) -> Bytes {
@@ -244,4 +229,26 @@ fn form_error(error: &axum::extract::multipart::MultipartError, limits: &Limits)
         "the form cannot be read: {}",
         shorten(&error.body_text())
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_id3_tag_in_front_leaves_flac_and_wav_their_larger_limit() {
+        let limits = Limits {
+            payload_limit: ByteSize(64),
+            payload_limit_lossless: ByteSize(256),
+            ..Limits::default()
+        };
+        let accepts = |audio: &[u8]| {
+            let file = [b"ID3\x04\0\0\0\0\0\x02xx".as_slice(), audio, &[0; 100]].concat();
+            let mut buffer = AudioBuffer::new(&limits, None);
+            file.chunks(10).all(|chunk| buffer.push(chunk).is_ok())
+        };
+        assert!(accepts(b"fLaC"));
+        assert!(accepts(b"RIFF\0\0\0\0WAVE"));
+        assert!(!accepts(b"\xff\xfb\x90\0"));
+    }
 }

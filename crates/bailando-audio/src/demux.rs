@@ -1,7 +1,10 @@
-//! Opens an upload as a stream of packets: the one place that knows symphonia's readers, and which
-//! of their errors end a file and which only cost a packet.
+//! Reads an upload packet by packet: the one place that knows symphonia's readers, and which of
+//! their errors end a file and which only cost a packet.
 
-use std::io::{self, Cursor, ErrorKind, Read, Seek, SeekFrom};
+use std::{
+    collections::VecDeque,
+    io::{self, Cursor, ErrorKind, Read, Seek, SeekFrom},
+};
 
 use bytes::Bytes;
 use symphonia::{
@@ -20,7 +23,7 @@ use symphonia::{
         formats::{FormatOptions, FormatReader, TrackType},
         io::{MediaSource, MediaSourceStream, ReadBytes},
         packet::Packet,
-        units::{Duration, TimeBase, Timestamp},
+        units::TimeBase,
     },
     default::{
         formats::{FlacReader, IsoMp4Reader, MpaReader, OggReader, WavReader},
@@ -28,16 +31,21 @@ use symphonia::{
     },
 };
 
-use super::{
-    AudioError,
-    limits::Watch,
-    sniff::{Container, Upload},
+use crate::{
+    container::Container,
+    error::AudioError,
+    flac::{self, Gap},
+    limits::{DecodeRequest, SLACK_S},
+    sniff::Upload,
 };
 
 /// Reader errors in a row after which a file is given up.
 const MAX_FAULTS_IN_A_ROW: usize = 32;
+/// Bytes of packets that are read ahead of the decoder. Hours of silence fit into less, so that a
+/// decode bomb is refused before its first packet is decoded.
+const READ_AHEAD: usize = 4 << 20;
 
-/// Bytes of an upload as symphonia wants them.
+/// The bytes of an upload behind symphonia's trait.
 struct Source {
     cursor: Cursor<Bytes>,
     seekable: bool,
@@ -65,74 +73,87 @@ impl MediaSource for Source {
     }
 }
 
-/// What a file says about its audio track. None of it is trusted for memory.
+/// Properties of the audio track as the file declares them; no memory is reserved for them.
 #[derive(Clone, Debug)]
-pub(super) struct TrackInfo {
-    pub(super) id: u32,
-    pub(super) parameters: AudioCodecParameters,
-    pub(super) time_base: Option<TimeBase>,
+pub(crate) struct TrackInfo {
+    pub(crate) id: u32,
+    pub(crate) parameters: AudioCodecParameters,
+    time_base: Option<TimeBase>,
     /// Frames declared, without encoder delay and padding.
-    pub(super) frames: Option<u64>,
-    /// Encoder delay and padding in frames (MP3's LAME tag).
-    pub(super) delay: Option<u32>,
-    pub(super) padding: Option<u32>,
+    pub(crate) frames: Option<u64>,
+    /// Encoder delay in frames (the LAME tag of MP3).
+    pub(crate) delay: Option<u32>,
+    /// Encoder padding in frames (the LAME tag of MP3).
+    pub(crate) padding: Option<u32>,
 }
 
 impl TrackInfo {
-    /// Seconds that a packet says it lasts.
-    pub(super) fn seconds(&self, packet: &Packet) -> f64 {
-        self.in_seconds(packet.dur)
-    }
-
-    fn in_seconds(&self, duration: Duration) -> f64 {
+    /// Returns the seconds that a packet says it lasts.
+    pub(crate) fn seconds(&self, packet: &Packet) -> f64 {
         self.time_base.map_or(0.0, |base| {
-            duration.get() as f64 * f64::from(base.numer.get()) / f64::from(base.denom.get())
+            packet.dur.get() as f64 * f64::from(base.numer.get()) / f64::from(base.denom.get())
         })
     }
 }
 
-/// How a packet stream ended.
+/// Faults of the container up to some packet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Ending {
+pub(crate) struct StreamState {
     /// The bytes ended inside something.
-    pub(super) cut_off: bool,
-    /// Another stream follows behind the first one (chained Ogg).
-    pub(super) chained: bool,
-    /// Faults of the container that were stepped over, or ended the file.
-    pub(super) faults: usize,
+    pub(crate) cut_off: bool,
+    /// Another stream follows the first one (chained Ogg).
+    pub(crate) chained: bool,
+    /// Faults that were stepped over, or ended the file.
+    pub(crate) faults: usize,
 }
 
 /// The packets of an upload's audio track.
-pub(super) struct Packets {
+pub(crate) struct Demuxer {
     reader: Box<dyn FormatReader>,
-    pub(super) container: Container,
-    pub(super) track: TrackInfo,
-    pub(super) ending: Ending,
-    /// Where the next packet of a FLAC file should start, in its time base.
-    expected: Option<Timestamp>,
-    /// Payload bytes that the file may still yield: a file's packets cannot be larger than the
+    pub(crate) container: Container,
+    pub(crate) track: TrackInfo,
+    /// State of the stream at the packet that was taken last.
+    pub(crate) state: StreamState,
+    /// Packets read ahead, with the state of the stream at each.
+    ahead: VecDeque<(Packet, StreamState)>,
+    ahead_bytes: usize,
+    /// State of the stream where the reader is.
+    reader_state: StreamState,
+    ended: bool,
+    /// Seconds that all packets read so far say they last.
+    seconds: f64,
+    /// Bytes of packets that the file may still yield: a file's packets cannot be larger than the
     /// file, unless its tables point at the same bytes again and again.
     allowance: usize,
+    gaps: Option<flac::Gaps>,
 }
 
-impl Packets {
+impl Demuxer {
     /// Reads the headers of `upload`.
-    pub(super) fn open(upload: &Upload) -> Result<Self, AudioError> {
+    pub(crate) fn open(upload: &Upload) -> Result<Self, AudioError> {
         let container = upload.container;
         let reader = open_reader(upload).map_err(|error| refusal(container, &error))?;
         let track = audio_track(reader.as_ref(), container)?;
+        let hz = track.parameters.sample_rate.unwrap_or_default();
+        let gaps = (container == Container::Flac)
+            .then(|| flac::Gaps::new(&upload.bytes, track.frames, hz));
         Ok(Self {
             reader,
             container,
             track,
-            ending: Ending::default(),
-            expected: None,
+            state: StreamState::default(),
+            ahead: VecDeque::new(),
+            ahead_bytes: 0,
+            reader_state: StreamState::default(),
+            ended: false,
+            seconds: 0.0,
             allowance: upload.bytes.len().saturating_mul(2).saturating_add(65_536),
+            gaps,
         })
     }
 
-    /// A decoder for the track. Only Ogg's trimming is left to it; see [`super::gapless`].
-    pub(super) fn decoder(&self) -> Result<Box<dyn AudioDecoder>, AudioError> {
+    /// Returns a decoder for the track. Only Ogg's trimming is left to it; see [`crate::gapless`].
+    pub(crate) fn decoder(&self) -> Result<Box<dyn AudioDecoder>, AudioError> {
         let options = AudioDecoderOptions::default().gapless(self.container == Container::Ogg);
         get_codecs()
             .make_audio_decoder(&self.track.parameters, &options)
@@ -145,31 +166,63 @@ impl Packets {
             })
     }
 
-    /// Seconds missing between the packet before `packet` and itself. The FLAC reader drops frames
-    /// with a wrong checksum without a word, but every frame carries its position.
-    pub(super) fn seconds_lost_before(&mut self, packet: &Packet) -> f64 {
-        if self.container != Container::Flac {
-            return 0.0;
-        }
-        let expected = self.expected.replace(packet.pts.saturating_add(packet.dur));
-        expected
-            .and_then(|expected| packet.pts.duration_from(expected))
-            .map_or(0.0, |gap| self.track.in_seconds(gap))
+    /// Returns what is missing between the packet before `packet` and itself.
+    pub(crate) fn gap_before(&mut self, packet: &Packet) -> Option<Gap> {
+        self.gaps.as_mut()?.before(packet)
     }
 
-    /// The next packet of the track; `None` at the end, however the file ended.
-    pub(super) fn next(&mut self, watch: &Watch<'_>) -> Result<Option<Packet>, AudioError> {
+    /// Returns the next packet of the track; `None` at the end, however the file ended.
+    ///
+    /// # Errors
+    /// [`AudioError::TooLong`] as soon as the packets read ahead say so; [`AudioError::Malformed`]
+    /// for tables without end; the deadline's.
+    pub(crate) fn next(
+        &mut self,
+        request: &DecodeRequest<'_>,
+    ) -> Result<Option<Packet>, AudioError> {
+        self.read_ahead(request)?;
+        let Some((packet, state)) = self.ahead.pop_front() else {
+            self.state = self.reader_state;
+            return Ok(None);
+        };
+        self.ahead_bytes -= cost(&packet);
+        self.state = state;
+        Ok(Some(packet))
+    }
+
+    /// Fills the queue up to [`READ_AHEAD`] or the end of the range. A file of hours of silence is
+    /// a few hundred kilobytes of packets, but gigabytes of samples. The packets' own durations are
+    /// not believed further than that: the decoded samples are counted as well.
+    fn read_ahead(&mut self, request: &DecodeRequest<'_>) -> Result<(), AudioError> {
+        while !self.ended
+            && (self.ahead.is_empty()
+                || self.ahead_bytes < READ_AHEAD && self.seconds - SLACK_S <= request.range.end_s())
+        {
+            let Some(packet) = self.read(request)? else {
+                self.ended = true;
+                return Ok(());
+            };
+            self.seconds += self.track.seconds(&packet);
+            request.check_length(self.seconds - SLACK_S)?;
+            self.ahead_bytes += cost(&packet);
+            self.ahead.push_back((packet, self.reader_state));
+        }
+        Ok(())
+    }
+
+    fn read(&mut self, request: &DecodeRequest<'_>) -> Result<Option<Packet>, AudioError> {
         let mut faults_in_a_row = 0;
+        let state = &mut self.reader_state;
         loop {
-            watch.check()?;
+            request.deadline.check()?;
             match self.reader.next_packet() {
                 Ok(Some(packet)) => {
                     faults_in_a_row = 0;
                     // A packet of no bytes counts as one, so that tables of them end as well.
-                    let cost = packet.data.len().max(1);
+                    let bytes = packet.data.len().max(1);
                     self.allowance =
                         self.allowance
-                            .checked_sub(cost)
+                            .checked_sub(bytes)
                             .ok_or_else(|| AudioError::Malformed {
                                 container: self.container,
                                 reason: "its tables list more audio than the file has bytes"
@@ -181,15 +234,15 @@ impl Packets {
                 }
                 Ok(None) => return Ok(None),
                 Err(SymphoniaError::IoError(error)) if error.kind() == ErrorKind::UnexpectedEof => {
-                    self.ending.cut_off = true;
+                    state.cut_off = true;
                     return Ok(None);
                 }
                 Err(SymphoniaError::ResetRequired) => {
-                    self.ending.chained = true;
+                    state.chained = true;
                     return Ok(None);
                 }
                 Err(_) => {
-                    self.ending.faults += 1;
+                    state.faults += 1;
                     faults_in_a_row += 1;
                     if faults_in_a_row >= MAX_FAULTS_IN_A_ROW {
                         return Ok(None);
@@ -198,6 +251,11 @@ impl Packets {
             }
         }
     }
+}
+
+/// Bytes that a packet occupies in the queue.
+fn cost(packet: &Packet) -> usize {
+    size_of::<Packet>() + packet.data.len()
 }
 
 fn open_reader(upload: &Upload) -> Result<Box<dyn FormatReader>, SymphoniaError> {
@@ -215,7 +273,7 @@ fn open_reader(upload: &Upload) -> Result<Box<dyn FormatReader>, SymphoniaError>
         Container::Mp3 => Box::new(MpaReader::try_new(stream, options)?),
         Container::Ogg => Box::new(OggReader::try_new(stream, options)?),
         Container::M4a => {
-            // This reader expects to be behind the size of the first atom, and steps back over it.
+            // This reader expects to stand after the size of the first atom, and steps back.
             stream.read_quad_bytes()?;
             Box::new(IsoMp4Reader::try_new(stream, options)?)
         }
@@ -246,7 +304,7 @@ fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackI
     })
 }
 
-/// The codec in words: symphonia names only what it was built with.
+/// Names a codec: symphonia names only those it was built with.
 fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
     let words = match parameters.codec {
         CODEC_ID_AAC => "AAC of another profile than LC with 1 or 2 channels (HE-AAC, for example)",
@@ -268,8 +326,8 @@ fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
     words.to_owned()
 }
 
-/// What an error while reading the headers means.
-pub(super) fn refusal(container: Container, error: &SymphoniaError) -> AudioError {
+/// Translates an error of reading the headers.
+fn refusal(container: Container, error: &SymphoniaError) -> AudioError {
     match error {
         SymphoniaError::IoError(error) if error.kind() == ErrorKind::UnexpectedEof => {
             AudioError::Malformed {
@@ -290,26 +348,4 @@ pub(super) fn refusal(container: Container, error: &SymphoniaError) -> AudioErro
             reason: other.to_string(),
         },
     }
-}
-
-/// Whether an Ogg file ends with a whole page that is marked as the last one: nothing else in it
-/// tells that it was cut.
-pub(super) fn ogg_is_whole(bytes: &[u8]) -> bool {
-    const HEADER: usize = 27;
-    const LARGEST_PAGE: usize = HEADER + 255 + 255 * 255;
-    const LAST_PAGE: u8 = 4;
-    let tail = &bytes[bytes.len().saturating_sub(LARGEST_PAGE)..];
-    let Some(start) = tail.windows(4).rposition(|part| part == b"OggS") else {
-        return false;
-    };
-    let page = &tail[start..];
-    let Some((header, rest)) = page.split_at_checked(HEADER) else {
-        return false;
-    };
-    let segments = usize::from(header[HEADER - 1]);
-    let length = rest.get(..segments).map(|sizes| {
-        let body: usize = sizes.iter().map(|&size| usize::from(size)).sum();
-        HEADER + segments + body
-    });
-    header[5] & LAST_PAGE != 0 && length.is_some_and(|length| page.len() >= length)
 }
