@@ -3,6 +3,8 @@
 mod decode;
 mod downmix;
 mod error;
+#[doc(hidden)]
+pub mod fuzzing;
 mod gapless;
 mod kernel;
 mod limits;
