@@ -77,7 +77,7 @@ fn json(path: &str) -> serde_json::Value {
     serde_json::from_slice(&text).expect("JSON")
 }
 
-fn npy<T: ndarray_npy::ReadableElement, D: ndarray::Dimension>(path: &str) -> ndarray::Array<T, D> {
+fn npy<T: ndarray_npy::ReadNpyExt>(path: &str) -> T {
     ndarray_npy::read_npy(path).expect("npy")
 }
 
@@ -140,9 +140,9 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
     let [json, glb] = ["dance.json", "dance.glb"].map(|name| path(&folder, name));
     let lost = path(&folder, "no/such/folder/dance.json");
     for arguments in [
+        "codebook",
         &format!("bench {SONG} --threads 0"),
         &format!("bench {SONG} --lengths -3"),
-        "codebook",
         &format!("codebook -o {lost} --sort uses"),
         &format!("codebook -o {lost} --columns 0"),
         &format!("features {SONG} -o {json} --rate 30720 --count-periods 4"),
@@ -271,7 +271,7 @@ fn features_and_rows_give_the_codes_of_the_song() {
         succeed(&format!(
             "features {SONG} -o {rows} --count-periods {periods}"
         ));
-        assert_eq!(features, npy::<f32, _>(&rows));
+        assert_eq!(features, npy::<Array2<f32>>(&rows));
     }
     let start = format!("--start-upper {upper} --start-lower {lower} --hop 15 --seed 3");
     succeed(&format!(
@@ -327,7 +327,7 @@ fn the_documented_way_over_feature_rows_works_as_written() {
     // Without the model's columns there is a dance too, with a word about the better way.
     run("bailando features song.mp3 -o features.npy");
     assert_eq!(
-        npy::<f32, _>(&path(&folder, "features.npy")).dim(),
+        npy::<Array2<f32>>(&path(&folder, "features.npy")).dim(),
         (rows, 438)
     );
     let errors = run(GENERATE);
@@ -337,7 +337,10 @@ fn the_documented_way_over_feature_rows_works_as_written() {
         counts,
         "{errors}"
     );
-    assert_eq!(npy::<i64, _>(&path(&folder, "codes.npy")).dim(), (2, rows));
+    assert_eq!(
+        npy::<Array2<i64>>(&path(&folder, "codes.npy")).dim(),
+        (2, rows)
+    );
 }
 
 #[test]

@@ -184,16 +184,16 @@ fn score_quality(scores: &mut Scores, motions: &[&Motion]) {
         .iter()
         .map(|motion| MotionQuality::new(motion.poses()))
         .collect();
-    let means: [(Metric, fn(&MotionQuality) -> f64); 5] = [
-        (Metric::DanceBeatsPerSecond, |q| q.dance_beats_per_second),
-        (Metric::SlowFrames, |q| q.slow_frames),
-        (Metric::MeanSpeed, |q| q.mean_speed),
-        (Metric::Jerk, |q| q.jerk),
-        (Metric::FootSkate, |q| q.foot_skate),
+    let means: [Mean<MotionQuality>; 5] = [
+        (Metric::DanceBeatsPerSecond, |q| {
+            Some(q.dance_beats_per_second)
+        }),
+        (Metric::SlowFrames, |q| Some(q.slow_frames)),
+        (Metric::MeanSpeed, |q| Some(q.mean_speed)),
+        (Metric::Jerk, |q| Some(q.jerk)),
+        (Metric::FootSkate, |q| Some(q.foot_skate)),
     ];
-    for (metric, field) in means {
-        set_mean(scores, metric, each.iter().map(field));
-    }
+    set_means(scores, &each, &means);
     let windows: usize = each.iter().map(|quality| quality.windows).sum();
     let sluggish: usize = each.iter().map(|quality| quality.sluggish_windows).sum();
     if windows > 0 {
@@ -211,7 +211,7 @@ fn score_beats(scores: &mut Scores, set: &MotionSet, beats: &MusicBeats, seed: u
         BeatScore::new(poses.len(), beats.of(&piece.id), &dance, &mut random)
     });
     let each: Vec<BeatScore> = scored.collect();
-    let means: [(Metric, fn(&BeatScore) -> Option<f64>); 4] = [
+    let means: [Mean<BeatScore>; 4] = [
         (Metric::BeatAlign, |score| Some(score.align)),
         (Metric::BeatAlignDance, |score| Some(score.align_dance)),
         (Metric::BeatChance, |score| score.chance),
@@ -219,15 +219,19 @@ fn score_beats(scores: &mut Scores, set: &MotionSet, beats: &MusicBeats, seed: u
             Some(score.align - score.chance?)
         }),
     ];
-    for (metric, field) in means {
-        set_mean(scores, metric, each.iter().filter_map(field));
-    }
+    set_means(scores, &each, &means);
 }
 
-fn set_mean(scores: &mut Scores, metric: Metric, values: impl Iterator<Item = f64>) {
-    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
-    if count > 0 {
-        scores.set(metric, sum / f64::from(count));
+/// A metric that is the mean of a value of each motion or piece; none has no part in it.
+type Mean<T> = (Metric, fn(&T) -> Option<f64>);
+
+fn set_means<T>(scores: &mut Scores, each: &[T], means: &[Mean<T>]) {
+    for &(metric, value) in means {
+        let values = each.iter().filter_map(value);
+        let sum_and_count = values.fold((0.0, 0_u32), |(sum, count), v| (sum + v, count + 1));
+        if let (sum, count @ 1..) = sum_and_count {
+            scores.set(metric, sum / f64::from(count));
+        }
     }
 }
 
