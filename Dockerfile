@@ -16,8 +16,8 @@ COPY Cargo.toml Cargo.lock ./
 COPY .cargo .cargo
 COPY crates crates
 COPY train/Cargo.toml train/
-RUN mkdir -p src benches train/src train/benches \
-    && touch src/lib.rs benches/features.rs train/src/lib.rs train/benches/steps.rs \
+RUN mkdir -p src train/src train/benches \
+    && touch src/lib.rs train/src/lib.rs train/benches/steps.rs \
     && echo 'fn main() {}' > src/main.rs \
     && echo 'fn main() {}' > train/src/main.rs \
     && cargo build --release --locked --package bailando --bin bailando

@@ -13,6 +13,7 @@ use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange},
     engine::{Choreographer, EngineConfig, GenerationOptions, MAX_CANDIDATES},
+    features::{COLUMNS, with_counts},
     formats::{Codes, Continuation, GeneratedMotion},
     model::WindowKind,
     motion,
@@ -22,12 +23,10 @@ use clap::{ArgAction, ValueEnum};
 use ndarray::Array2;
 
 use super::{
-    Usage,
+    console::{Usage, positive_seconds, say, say_error},
     inputs::audio_files,
     output::{FileFormat, OutputArgs, check_folder_of, write_positions},
-    positive_seconds,
     progress::Bar,
-    say, say_error,
 };
 
 /// Make dances from audio files, or codes and positions from feature rows
@@ -129,7 +128,8 @@ struct SongArgs {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Feature rows instead of audio")]
 struct RowsArgs {
-    /// Feature rows, float32 [rows, columns of the model], as `bailando features` writes them
+    /// Feature rows, float32 [rows, columns of the model], as `bailando features --model-dir`
+    /// writes them; with 438 columns, the dance does not follow the music's counts
     #[arg(
         long,
         value_name = "F.npy",
@@ -297,6 +297,7 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
     }
     let rows = read_rows(features)?;
     let choreographer = args.open(1)?;
+    let rows = with_columns_of(&choreographer, rows, args, features);
     let raw = choreographer.dance_to_rows(
         rows,
         &args.options(false),
@@ -318,6 +319,26 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
         raw.seed
     ));
     Ok(())
+}
+
+/// Rows of 438 columns know no counts: to a model with count columns, they are those of a song
+/// without regular beats.
+fn with_columns_of(
+    choreographer: &Choreographer,
+    rows: Array2<f32>,
+    args: &GenerateArgs,
+    path: &Path,
+) -> Array2<f32> {
+    let wanted = &choreographer.manifest().features;
+    if rows.ncols() != COLUMNS || wanted.columns == COLUMNS {
+        return rows;
+    }
+    let (file, model) = (path.display(), args.model_dir.display());
+    say_error(&format!(
+        "warning: {file} has no count columns, so the dance does not follow the music's counts; \
+         `bailando features SONG -o {file} --model-dir {model}` writes them"
+    ));
+    with_counts(rows, None, 0.0, &wanted.count_periods)
 }
 
 fn read_rows(path: &Path) -> anyhow::Result<Array2<f32>> {

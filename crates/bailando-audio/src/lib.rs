@@ -33,6 +33,8 @@ mod demux;
 mod downmix;
 mod error;
 mod flac;
+#[doc(hidden)]
+pub mod fuzzing;
 mod gapless;
 mod headers;
 mod id3;

@@ -1,12 +1,10 @@
-//! The stages of the feature chain by themselves, on ten seconds of noise and clicks: one thread.
-//! `cargo bench --bench features`
+//! Each stage of the feature chain alone, on ten seconds of noise and clicks, with one thread:
+//! `cargo bench -p bailando-features`.
 
 use std::hint::black_box;
 
-use bailando::{
-    audio::Resampler,
-    features::{FeatureExtractor, Profile, Rate},
-};
+use bailando_audio::Resampler;
+use bailando_features::{FeatureExtractor, ONSET_COLUMN, Profile, Rate};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 
 const SECONDS: usize = 10;
@@ -51,10 +49,7 @@ fn features(criterion: &mut Criterion) {
         let Ok(stages) = extractor.extract_stages(&input) else {
             continue;
         };
-        let onset = stages
-            .features
-            .column(bailando::features::ONSET_COLUMN)
-            .to_vec();
+        let onset = stages.features.column(ONSET_COLUMN).to_vec();
         let mut group = criterion.benchmark_group(format!("{} Hz", rate.hz()));
         group.bench_function("spectra", |bencher| {
             bencher.iter(|| {
