@@ -2,11 +2,11 @@
 
 use bytes::Bytes;
 
-use super::{clock::timed, machine, report::LengthPoint};
+use super::{clock::timed, error::Result, machine, report::LengthPoint};
 use crate::{
-    CancelToken, Result,
+    CancelToken,
     audio::{self, AudioLimits, AudioRange},
-    engine::{Choreographer, GenerationOptions},
+    engine::{Engine, GenerationOptions, GenerationRequest},
     features::Rate,
     formats::{BvhUnit, to_bvh},
 };
@@ -14,18 +14,15 @@ use crate::{
 /// Bytes of a sample.
 const SAMPLE: u32 = 2;
 
-pub(super) fn measure(
-    choreographer: &Choreographer,
-    song: &Bytes,
-    seconds: f64,
-) -> Result<LengthPoint> {
+pub(super) fn measure(engine: &Engine, song: &Bytes, seconds: f64) -> Result<LengthPoint> {
     let wav = repeated(song, seconds)?;
     let options = GenerationOptions {
         seed: Some(1),
         ..GenerationOptions::default()
     };
     let (dance, elapsed_s) = timed(|| -> Result<usize> {
-        let dance = choreographer.generate(wav, &options, &CancelToken::new())?;
+        let output = engine.generate(GenerationRequest::audio(wav, options))?;
+        let dance = output.into_dance(engine.manifest());
         to_bvh(&dance, BvhUnit::Centimetre)?;
         Ok(dance.animation.root.len())
     });

@@ -1,17 +1,17 @@
 //! Several at once.
 
-use std::{sync::Arc, thread};
+use std::thread;
 
 use ndarray::Array2;
 
 use super::{
     BenchOptions,
     clock::{quantile, timed},
+    error::{BenchError, Result},
     report::{LoadPoint, Throughput},
 };
 use crate::{
-    CancelToken, Result,
-    engine::{Choreographer, EngineError, GenerationOptions},
+    engine::{Engine, GenerationOptions, GenerationRequest},
     formats::Codes,
 };
 
@@ -22,8 +22,8 @@ const TURNS: usize = 6;
 
 /// Eight dances at once against one after another, by feature rows: the model alone. Each has a seed
 /// and a length of its own, so that their windows move at different steps.
-pub(super) fn throughput(choreographer: &Choreographer, codes: usize) -> Result<Throughput> {
-    let columns = choreographer.manifest().features.columns;
+pub(super) fn throughput(engine: &Engine, codes: usize) -> Result<Throughput> {
+    let columns = engine.manifest().features.columns;
     let dance = |number: usize| -> Result<Codes> {
         let rows = Array2::from_shape_fn((codes + number, columns), |(row, column)| {
             (((row + number) * 31 + column * 7) % 97) as f32 / 97.0
@@ -33,9 +33,8 @@ pub(super) fn throughput(choreographer: &Choreographer, codes: usize) -> Result<
             candidates: Some(1),
             ..GenerationOptions::default()
         };
-        let progress = Arc::new(());
-        let raw = choreographer.dance_to_rows(rows, &options, &CancelToken::new(), progress)?;
-        Ok(raw.codes)
+        let request = GenerationRequest::features(rows, options);
+        Ok(engine.generate(request)?.codes)
     };
     dance(0)?;
     let (alone, alone_s) = timed(|| (0..DANCES).map(dance).collect::<Result<Vec<_>>>());
@@ -52,7 +51,7 @@ pub(super) fn throughput(choreographer: &Choreographer, codes: usize) -> Result<
 
 /// Latencies of callers that generate the song again and again at the same time.
 pub(super) fn measure(
-    choreographer: &Choreographer,
+    engine: &Engine,
     options: &BenchOptions,
     callers: usize,
 ) -> Result<LoadPoint> {
@@ -62,10 +61,10 @@ pub(super) fn measure(
                 seed: Some((caller * TURNS + turn) as u64),
                 ..GenerationOptions::default()
             };
-            let song = options.song.clone();
-            let (dance, seconds) =
-                timed(|| choreographer.generate(song, &generation, &CancelToken::new()));
-            dance.map(|_| seconds)
+            let request = GenerationRequest::audio(options.song.clone(), generation);
+            let (output, seconds) = timed(|| engine.generate(request));
+            output?;
+            Ok(seconds)
         });
         turns.collect()
     };
@@ -91,10 +90,7 @@ fn at_once<T: Send>(count: usize, work: impl Fn(usize) -> Result<T> + Sync) -> R
             .collect();
         running
             .into_iter()
-            .map(|one| {
-                one.join()
-                    .unwrap_or_else(|_| Err(EngineError::Panicked.into()))
-            })
+            .map(|one| one.join().unwrap_or(Err(BenchError::Panicked)))
             .collect()
     })
 }

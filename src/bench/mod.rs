@@ -4,6 +4,7 @@
 mod baseline;
 mod clock;
 mod decoder;
+mod error;
 mod floor;
 mod length;
 mod load;
@@ -14,6 +15,7 @@ mod stages;
 mod steps;
 
 pub use baseline::Baseline;
+pub use error::BenchError;
 pub use report::{
     Bench, LengthPoint, LoadPoint, Machine, Stage, StepPoint, ThreadSteps, Throughput,
 };
@@ -22,10 +24,9 @@ use std::path::PathBuf;
 
 use bytes::Bytes;
 
+use self::error::Result;
 use crate::{
-    Result,
-    audio::AudioLimits,
-    engine::{Choreographer, DEFAULT_BATCH, EngineConfig},
+    engine::{Engine, EngineConfig},
     model::ModelDirectory,
 };
 
@@ -57,20 +58,16 @@ pub fn run(options: &BenchOptions, say: &dyn Fn(&str)) -> Result<Bench> {
     let threads = options.threads.last().copied().unwrap_or(1);
     say("start");
     let memory_before = machine::resident_bytes();
-    let (choreographer, start_s) = clock::timed(|| {
-        Choreographer::open(&EngineConfig {
-            model_dir: options.model_dir.clone(),
-            threads,
-            batch: DEFAULT_BATCH.get(),
-            queue: 64,
-            audio: AudioLimits::default(),
-            observer: std::sync::Arc::new(()),
-        })
-    });
-    let choreographer = choreographer?;
+    let config = EngineConfig {
+        threads,
+        queue: 64,
+        ..EngineConfig::new(&options.model_dir)
+    };
+    let (engine, start_s) = clock::timed(|| Engine::open(&config));
+    let engine = engine?;
     let idle = machine::resident_bytes();
     say("stages");
-    let mut stages = stages::measure(&choreographer, options, threads)?;
+    let mut stages = stages::measure(&engine, options, threads)?;
     for &threads in &options.threads {
         stages.push(decoder::measure(&directory, options.repeats, threads)?);
     }
@@ -80,16 +77,16 @@ pub fn run(options: &BenchOptions, say: &dyn Fn(&str)) -> Result<Bench> {
         steps.push(steps::measure(&directory, threads)?);
     }
     say("eight at once");
-    let throughput = load::throughput(&choreographer, options.batch_codes)?;
+    let throughput = load::throughput(&engine, options.batch_codes)?;
     let mut load = Vec::new();
     for &callers in &options.callers {
         say(&format!("{callers} callers"));
-        load.push(load::measure(&choreographer, options, callers)?);
+        load.push(load::measure(&engine, options, callers)?);
     }
     let mut lengths = Vec::new();
     for &seconds in &options.lengths_s {
         say(&format!("a song of {seconds} s"));
-        lengths.push(length::measure(&choreographer, &options.song, seconds)?);
+        lengths.push(length::measure(&engine, &options.song, seconds)?);
     }
     Ok(Bench {
         machine: machine::describe(),

@@ -3,21 +3,22 @@
 use super::{
     BenchOptions,
     clock::{median, quantile},
+    error::Result,
     report::Stage,
 };
 use crate::{
-    CancelToken, Result,
+    CancelToken,
     audio::{self, AudioLimits, AudioRange},
-    engine::{Choreographer, GenerationOptions},
+    engine::{Engine, GenerationOptions, GenerationRequest},
     features::{FeatureExtractor, Profile, Rate},
-    formats::{BvhUnit, to_bvh},
+    formats::{BvhUnit, Dance, to_bvh},
 };
 
 /// The seed of all dances.
 const SEED: u64 = 1;
 
 pub(super) fn measure(
-    choreographer: &Choreographer,
+    engine: &Engine,
     options: &BenchOptions,
     threads: usize,
 ) -> Result<Vec<Stage>> {
@@ -60,12 +61,14 @@ pub(super) fn measure(
         seed: Some(SEED),
         ..GenerationOptions::default()
     };
-    let generate =
-        || choreographer.generate(options.song.clone(), &generation, &CancelToken::new());
-    let mut dance = generate()?;
+    let generate = |generation: &GenerationOptions| -> Result<Dance> {
+        let request = GenerationRequest::audio(options.song.clone(), generation.clone());
+        Ok(engine.generate(request)?.into_dance(engine.manifest()))
+    };
+    let mut dance = generate(&generation)?;
     let [mut decode, mut features, mut inference, mut motion] = [const { Vec::new() }; 4];
     let whole = median(options.repeats, || -> Result<()> {
-        dance = generate()?;
+        dance = generate(&generation)?;
         let timings = &dance.timings;
         decode.push(timings.decode.as_secs_f64());
         features.push(timings.features.as_secs_f64());
@@ -91,9 +94,7 @@ pub(super) fn measure(
         ..generation
     };
     let seconds = median(options.repeats, || -> Result<()> {
-        let song = options.song.clone();
-        let dance = choreographer.generate(song, &chosen, &CancelToken::new())?;
-        to_bvh(&dance, BvhUnit::Centimetre)?;
+        to_bvh(&generate(&chosen)?, BvhUnit::Centimetre)?;
         Ok(())
     })?;
     stage("song_to_bvh_three_candidates", threads, seconds);

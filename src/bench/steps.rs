@@ -1,22 +1,20 @@
-//! Steps and primes of the motion GPT, beside the time of reading its weights.
+//! Steps and prefills of the motion GPT, beside the time of reading its weights.
 
 use ndarray::{Array2, Axis, Slice};
 
 use super::{
     clock::{median, quantile, timed},
+    error::Result,
     floor::{read_seconds, weight_bytes},
     report::{StepPoint, ThreadSteps},
 };
-use crate::{
-    CancelToken, Result,
-    model::{Gpt, GptMemory, ModelDirectory, ModelError, NextStep, Steps},
-};
+use crate::model::{Gpt, KvCache, ModelDirectory, ModelError, NextStep, Steps};
 
 const BATCHES: [usize; 5] = [1, 2, 4, 8, 16];
-/// Windows that are danced through, a step at a time.
+/// Windows that are stepped through.
 const WINDOWS: usize = 3;
-/// Steps of a prime as the published hop window has them.
-const PRIME: usize = 15;
+/// Steps of a prefill as the published hop window has them.
+const PREFILL: usize = 15;
 
 pub(super) fn measure(directory: &ModelDirectory, threads: usize) -> Result<ThreadSteps> {
     let manifest = directory.manifest();
@@ -24,15 +22,15 @@ pub(super) fn measure(directory: &ModelDirectory, threads: usize) -> Result<Thre
     let mut gpt = directory.gpt(threads)?;
     let bytes = weight_bytes(directory);
     let song = Song::new(directory);
-    let mut memory = gpt.memory(BATCHES.into_iter().max().unwrap_or(1));
+    let mut cache = gpt.cache(BATCHES.into_iter().max().unwrap_or(1));
     let mut steps = Vec::new();
     for batch in BATCHES {
         let mut times = Vec::new();
         for _ in 0..WINDOWS {
-            (0..batch).for_each(|row| memory.forget(row));
+            (0..batch).for_each(|row| cache.clear(row));
             for step in 0..context {
                 let next = vec![song.next(step); batch];
-                let (logits, seconds) = timed(|| gpt.step(&mut memory, &next));
+                let (logits, seconds) = timed(|| gpt.step(&mut cache, &next));
                 logits?;
                 times.push(seconds);
             }
@@ -43,17 +41,15 @@ pub(super) fn measure(directory: &ModelDirectory, threads: usize) -> Result<Thre
             seconds: quantile(times, 0.5),
         });
     }
-    let prime = |steps: usize, gpt: &mut Gpt, memory: &mut GptMemory| -> Result<f64, ModelError> {
-        median(9, || {
-            gpt.prime(memory, 0, song.first(steps), &CancelToken::new())
-        })
+    let prefill = |steps: usize, gpt: &mut Gpt, cache: &mut KvCache| -> Result<f64, ModelError> {
+        median(9, || gpt.prefill(cache, 0, song.first(steps)))
     };
     // The newest of the kept codes goes by a step, like all that follow until the window is full.
     let again = match hop {
         0 | 1 => 0.0,
-        hop => prime(hop - 1, &mut gpt, &mut memory)?,
+        hop => prefill(hop - 1, &mut gpt, &mut cache)?,
     };
-    let primed = prime(PRIME.min(context - 1), &mut gpt, &mut memory)?;
+    let prefilled = prefill(PREFILL.min(context - 1), &mut gpt, &mut cache)?;
     let step = steps.first().map_or(f64::NAN, |point| point.seconds);
     let period = (context - hop + 1) as f64;
     Ok(ThreadSteps {
@@ -61,8 +57,8 @@ pub(super) fn measure(directory: &ModelDirectory, threads: usize) -> Result<Thre
         weight_bytes: bytes,
         floor_s: read_seconds(bytes, threads),
         steps,
-        prime_steps: PRIME.min(context - 1),
-        prime_s: primed,
+        prime_steps: PREFILL.min(context - 1),
+        prime_s: prefilled,
         hop,
         code_s: step + again / period,
     })
@@ -70,7 +66,7 @@ pub(super) fn measure(directory: &ModelDirectory, threads: usize) -> Result<Thre
 
 /// Codes and music of no meaning, a window of them.
 struct Song {
-    codes: Vec<u32>,
+    codes: Vec<[u32; 2]>,
     music: Array2<f32>,
 }
 
@@ -81,7 +77,7 @@ impl Song {
         let vocabulary = manifest.vocabulary.upper.min(manifest.vocabulary.lower);
         Self {
             codes: (0..context)
-                .map(|step| (step * 7 % vocabulary) as u32)
+                .map(|step| [(step * 7 % vocabulary) as u32; 2])
                 .collect(),
             music: Array2::from_shape_fn((context, columns), |(row, column)| {
                 ((row * 31 + column * 7) % 97) as f32 / 97.0
@@ -90,20 +86,16 @@ impl Song {
     }
 
     fn next(&self, step: usize) -> NextStep<'_> {
-        let code = self.codes.get(step).copied().unwrap_or_default();
         NextStep {
-            upper: code,
-            lower: code,
+            codes: self.codes[step],
             music: self.music.row(step.min(self.music.nrows() - 1)),
         }
     }
 
     fn first(&self, steps: usize) -> Steps<'_> {
-        let codes = self.codes.get(..steps).unwrap_or_default();
         Steps {
-            upper: codes,
-            lower: codes,
-            music: self.music.slice_axis(Axis(0), Slice::from(..codes.len())),
+            codes: &self.codes[..steps],
+            music: self.music.slice_axis(Axis(0), Slice::from(..steps)),
         }
     }
 }

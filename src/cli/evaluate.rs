@@ -3,10 +3,7 @@
 use std::{fs, num::NonZeroUsize, path::PathBuf};
 
 use anyhow::Context;
-use bailando::{
-    Error,
-    evaluation::{BeatsFrom, Clips, EvaluationOptions, KineticForm, evaluate},
-};
+use bailando::evaluation::{BeatsFrom, Clips, EvaluationOptions, KineticForm, evaluate};
 use clap::ValueEnum;
 
 use super::{say, say_error};
@@ -91,9 +88,9 @@ impl EvaluateArgs {
 }
 
 pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
-    let report = evaluate(&args.options()).map_err(Error::from)?;
+    let report = evaluate(&args.options())?;
     if let Some(path) = &args.plot {
-        let svg = report.svg().map_err(Error::from)?;
+        let svg = report.svg()?;
         fs::write(path, svg).with_context(|| path.display().to_string())?;
     }
     if args.json {

@@ -16,7 +16,7 @@ use std::{
     process::ExitCode,
 };
 
-use bailando::{Error, engine::EngineError, evaluation::EvaluationError};
+use bailando::{engine::EngineError, evaluation::EvaluationError};
 use clap::{Parser, Subcommand};
 
 /// Music in, dance out: 3-D dance for a song.
@@ -73,14 +73,9 @@ pub(crate) fn run() -> ExitCode {
 }
 
 fn is_usage(error: &anyhow::Error) -> bool {
-    let option = |error: &Error| {
-        matches!(
-            error,
-            Error::Engine(EngineError::Option { .. })
-                | Error::Evaluation(EvaluationError::Option(_))
-        )
-    };
-    error.is::<Usage>() || error.downcast_ref::<Error>().is_some_and(option)
+    error.is::<Usage>()
+        || matches!(error.downcast_ref(), Some(EngineError::Option { .. }))
+        || matches!(error.downcast_ref(), Some(EvaluationError::Option(_)))
 }
 
 /// Seconds above 0, for limits: NaN would switch one off.

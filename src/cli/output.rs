@@ -151,9 +151,7 @@ impl OutputArgs {
             UnitArg::Cm => BvhUnit::Centimetre,
             UnitArg::M => BvhUnit::Metre,
         };
-        let bytes = format
-            .write(dance, &json, unit)
-            .map_err(bailando::Error::from)?;
+        let bytes = format.write(dance, &json, unit)?;
         fs::write(path, bytes).with_context(|| path.display().to_string())
     }
 }

@@ -1,9 +1,8 @@
 //! The still pose of every code: a code that is repeated decodes to one (ARCHITECTURE section 7).
 
-use ndarray::{Array2, ArrayView1, Axis, Slice};
+use ndarray::{ArrayView1, Axis, Slice};
 
 use super::{CodebookError, Half, facing::halves_to_front};
-use bailando_core::CancelToken;
 use bailando_model::{Decoder, Manifest};
 
 /// x, y and z of every joint in metres, the root at 0.
@@ -34,15 +33,14 @@ impl StillPoses {
         let middle = REPEATS * manifest.frames_per_code / 2;
         let mut bodies = Vec::with_capacity(runs.len());
         for batch in runs.chunks(BATCH) {
-            let repeated = |codes: usize| {
+            let repeated = |&run: &usize| {
                 // The shorter vocabulary's last code is decoded again and never looked at.
-                let code = |run: usize| run.min(codes.saturating_sub(1)) as u32;
-                let shape = (batch.len(), REPEATS);
-                Array2::from_shape_fn(shape, |(run, _)| batch.get(run).map_or(0, |&r| code(r)))
+                let pair = codes.map(|codes| run.min(codes.saturating_sub(1)) as u32);
+                [pair; REPEATS]
             };
-            let [upper, lower] = codes.map(repeated);
-            let never = CancelToken::new();
-            let motion = decoder.decode_batch(upper.view(), lower.view(), &never)?;
+            let repeated: Vec<_> = batch.iter().map(repeated).collect();
+            let sequences: Vec<_> = repeated.iter().map(|codes| &codes[..]).collect();
+            let motion = decoder.decode_batch(&sequences)?;
             bodies.extend(motion.outer_iter().map(|run| {
                 let frame = run.slice_axis(Axis(0), Slice::from(middle..=middle));
                 pose(frame.index_axis(Axis(0), 0), manifest.skeleton.joints.len())

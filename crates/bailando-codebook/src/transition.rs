@@ -1,6 +1,6 @@
 //! How one pose becomes another: a pair of codes, then another pair.
 
-use ndarray::{Array2, Axis};
+use ndarray::Axis;
 use serde::Serialize;
 
 use super::{
@@ -8,7 +8,6 @@ use super::{
     still::{Pose, pose},
     uses::Pair,
 };
-use bailando_core::CancelToken;
 use bailando_model::{Decoder, Manifest};
 
 /// How often either pair is repeated, so that both are poses before and after the change.
@@ -79,17 +78,11 @@ pub(super) fn decode(
     if transitions.is_empty() {
         return Ok(());
     }
-    let codes = |half: usize| {
-        Array2::from_shape_fn((transitions.len(), 2 * REPEATS), |(row, step)| {
-            let pair = transitions.get(row).map(|change| match step {
-                0..REPEATS => change.from,
-                _ => change.to,
-            });
-            pair.and_then(|pair| pair.get(half).copied()).unwrap_or(0)
-        })
-    };
-    let (upper, lower) = (codes(0), codes(1));
-    let motion = decoder.decode_batch(upper.view(), lower.view(), &CancelToken::new())?;
+    let changes = transitions.iter();
+    let codes = changes.map(|change| [[change.from; REPEATS], [change.to; REPEATS]].concat());
+    let codes: Vec<Vec<_>> = codes.collect();
+    let sequences: Vec<_> = codes.iter().map(Vec::as_slice).collect();
+    let motion = decoder.decode_batch(&sequences)?;
     let step = manifest.frames_per_code / POSES_PER_CODE;
     let first = (REPEATS * manifest.frames_per_code).saturating_sub(POSES / 2 * step);
     for (transition, decoded) in transitions.iter_mut().zip(motion.outer_iter()) {

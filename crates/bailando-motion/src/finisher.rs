@@ -49,8 +49,11 @@ impl Finisher {
         Self::start(skeleton, options, true)
     }
 
-    /// For a dance that is wanted as a whole: everything leaves at the end.
-    pub(super) fn whole(skeleton: &Skeleton, options: &FinishOptions) -> Result<Self, MotionError> {
+    /// For a motion that is wanted as a whole: all frames leave at the end.
+    ///
+    /// # Errors
+    /// As [`super::finish`].
+    pub fn whole(skeleton: &Skeleton, options: &FinishOptions) -> Result<Self, MotionError> {
         Self::start(skeleton, options, false)
     }
 

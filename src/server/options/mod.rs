@@ -12,7 +12,7 @@ use super::error::ServerError;
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    formats::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat, Tail},
+    formats::{BvhUnit, Dance, Encoding, FormatError, JsonOptions, OutputFormat, Tail},
     model::WindowKind,
 };
 
@@ -143,9 +143,12 @@ impl RequestOptions {
     }
 
     /// Writes `dance` as asked for.
-    pub(crate) fn write(&self, dance: &Dance, format: OutputFormat) -> crate::Result<Vec<u8>> {
-        let bytes = format.write(dance, &self.json(), self.bvh_unit.unwrap_or_default())?;
-        Ok(bytes)
+    pub(crate) fn write(
+        &self,
+        dance: &Dance,
+        format: OutputFormat,
+    ) -> Result<Vec<u8>, FormatError> {
+        format.write(dance, &self.json(), self.bvh_unit.unwrap_or_default())
     }
 
     /// The engine's part of the options.
