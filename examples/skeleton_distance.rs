@@ -7,13 +7,9 @@
 //! Prints mean and largest distance over all joints and frames of SEEDS dances (default 5), as they
 //! are written, and with both roots put in one place.
 
-use std::path::PathBuf;
-
 use anyhow::{Context, Result};
 use bailando::{
-    CancelToken,
-    audio::AudioLimits,
-    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
+    engine::{Engine, EngineConfig, GenerationOptions, GenerationRequest},
     formats::GeneratedMotion,
     motion::forward,
 };
@@ -23,21 +19,15 @@ fn main() -> Result<()> {
     let song = arguments.next().context("which song?")?;
     let seeds: u64 = arguments.next().map_or(Ok(5), |text| text.parse())?;
     let audio = std::fs::read(&song).with_context(|| song.clone())?;
-    let choreographer = Choreographer::open(&EngineConfig {
-        model_dir: PathBuf::from("models/default"),
-        threads: 2,
-        batch: DEFAULT_BATCH.get(),
-        queue: 1,
-        audio: AudioLimits::default(),
-        observer: std::sync::Arc::new(()),
-    })?;
+    let engine = Engine::open(&EngineConfig::new("models/default"))?;
     let (mut as_written, mut root_fixed) = (Distances::default(), Distances::default());
     for seed in 0..seeds {
         let options = GenerationOptions {
             seed: Some(seed),
             ..GenerationOptions::default()
         };
-        let dance = choreographer.generate(audio.clone().into(), &options, &CancelToken::new())?;
+        let output = engine.generate(GenerationRequest::audio(audio.clone(), options))?;
+        let dance = output.into_motion(engine.manifest());
         measure(&dance, &mut as_written, &mut root_fixed)?;
     }
     as_written.print("as written");

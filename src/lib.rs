@@ -9,7 +9,6 @@
 
 pub mod bench;
 pub mod engine;
-pub mod error;
 #[doc(hidden)]
 pub mod fuzzing;
 mod resident;
@@ -23,4 +22,3 @@ pub use bailando_features as features;
 pub use bailando_formats as formats;
 pub use bailando_model as model;
 pub use bailando_motion as motion;
-pub use error::{Error, Result};

@@ -1,4 +1,4 @@
-//! What is danced of all that could be: candidates, phrases danced anew, codes that are never drawn.
+//! Choices between motions: candidates, segments generated again, codes that are never drawn.
 
 #![allow(
     clippy::expect_used,
@@ -11,7 +11,6 @@
 mod demo;
 
 use bailando::{
-    CancelToken,
     engine::GenerationOptions,
     evaluation::{Motion, speed},
     formats::GeneratedMotion,
@@ -19,19 +18,13 @@ use bailando::{
 };
 use bailando_testkit::song as fixture;
 use bailando_testkit::wav::wav16;
-use demo::choreographer;
+use demo::{dance_to, engine};
 
 const FPS: f64 = 60.0;
 
 /// The demo song danced to.
 fn dance(options: &GenerationOptions) -> GeneratedMotion {
     dance_to(fixture("demo.ogg"), options)
-}
-
-fn dance_to(audio: Vec<u8>, options: &GenerationOptions) -> GeneratedMotion {
-    choreographer()
-        .generate(audio.into(), options, &CancelToken::new())
-        .unwrap()
 }
 
 /// Metres that the mean joint moves from each frame to the next.
@@ -107,7 +100,7 @@ fn what_is_danced_anew_stands_still_less() {
 
 #[test]
 fn suppressed_codes_are_never_drawn() {
-    let suppressed = &choreographer().manifest().suppressed_codes;
+    let suppressed = &engine().manifest().suppressed_codes;
     assert!(!suppressed.lower.is_empty());
     for seed in 0..4 {
         // Hotter than it is served: a code in forty would be one of them.

@@ -19,13 +19,13 @@ use std::{
 use bailando::{
     CancelToken,
     audio::AudioLimits,
-    engine::{GenerationOptions, Listener, Opening, Progress},
+    engine::{GenerationOptions, GenerationRequest, MotionOutput, MotionStream, Opening},
     formats::{BvhUnit, Continuation, GeneratedMotion, JsonOptions, OutputFormat},
-    motion::{Positions, forward, lower_foot_heights},
+    motion::{self, FinishOptions, Finisher, Positions, forward, lower_foot_heights},
 };
 use bailando_testkit::song as fixture;
 use bailando_testkit::wav::wav16;
-use demo::choreographer;
+use demo::{dance_to, engine};
 use ndarray::{Array2, Axis};
 
 const SONG_SECONDS: f64 = 30.0;
@@ -37,9 +37,7 @@ fn dance(audio: Vec<u8>, seed: u64) -> GeneratedMotion {
         music: true,
         ..GenerationOptions::default()
     };
-    choreographer()
-        .generate(audio.into(), &options, &CancelToken::new())
-        .unwrap()
+    dance_to(audio, &options)
 }
 
 /// The flac's samples as a 16-bit mono wav at its own rate.
@@ -233,13 +231,9 @@ fn guidance_of_1_is_the_model_itself_and_more_is_another_dance() {
             },
             ..GenerationOptions::default()
         };
-        let audio = fixture("demo.ogg").into();
-        choreographer()
-            .generate(audio, &options, &CancelToken::new())
-            .unwrap()
-            .codes
+        dance_to(fixture("demo.ogg"), &options).codes
     };
-    let default = choreographer().manifest().sampling.guidance;
+    let default = engine().manifest().sampling.guidance;
     let own = guided(Some(1.0));
     if default == 1.0 {
         assert_eq!(own, guided(None));
@@ -249,16 +243,14 @@ fn guidance_of_1_is_the_model_itself_and_more_is_another_dance() {
     assert_eq!(more, guided(Some(4.0)));
 }
 
-/// Keeps all that it hears.
+/// Keeps all that it receives.
 #[derive(Default)]
 struct Recorder {
     opening: Mutex<Option<Opening>>,
     motion: Mutex<Vec<Array2<f32>>>,
 }
 
-impl Progress for Recorder {}
-
-impl Listener for Recorder {
+impl MotionStream for Recorder {
     fn opened(&self, opening: Opening) {
         *self.opening.lock().unwrap() = Some(opening);
     }
@@ -280,15 +272,12 @@ fn a_stream_is_the_dance_in_pieces() {
             music: true,
             ..GenerationOptions::default()
         };
-        let cancel = CancelToken::new();
-        let whole = choreographer()
-            .generate(fixture("demo.ogg").into(), &options, &cancel)
-            .unwrap();
+        let whole = dance_to(fixture("demo.ogg"), &options);
         let recorder = Arc::new(Recorder::default());
-        let listener = Arc::clone(&recorder) as Arc<dyn Listener>;
-        let ending = choreographer()
-            .stream(fixture("demo.ogg").into(), &options, &cancel, listener)
-            .unwrap();
+        let request = GenerationRequest::audio(fixture("demo.ogg"), options);
+        let request = request.streamed_to(Arc::clone(&recorder) as _);
+        let ending = engine().generate(request).unwrap();
+        assert!(matches!(ending.motion, MotionOutput::Streamed));
         assert_eq!(ending.codes, whole.codes);
         // Chunks of other lengths differ in the last bits.
         let tail = whole.continuation.unwrap();
@@ -340,9 +329,7 @@ fn part(offset_s: f64, continue_from: Option<Continuation>, root_motion: bool) -
         },
         ..GenerationOptions::default()
     };
-    choreographer()
-        .generate(fixture("demo.ogg").into(), &options, &CancelToken::new())
-        .unwrap()
+    dance_to(fixture("demo.ogg"), &options)
 }
 
 /// The end of a dance over the wire and back.
@@ -350,7 +337,7 @@ fn tail_of(dance: &GeneratedMotion) -> Option<Continuation> {
     Some(dance.continuation.as_ref()?.to_text().parse().unwrap())
 }
 
-/// From the last frame of a dance to the first of the next no joint goes further than it does inside.
+/// No joint goes further from a dance's last frame to the next dance's first than it does inside.
 fn assert_goes_on(first: &GeneratedMotion, second: &GeneratedMotion) {
     let (last, next) = (
         first
@@ -390,7 +377,7 @@ fn a_dance_goes_on_where_another_ended() {
         continue_from: Some(foreign),
         ..GenerationOptions::default()
     };
-    let refused = choreographer().check(&options).unwrap_err();
+    let refused = engine().check(&options).unwrap_err();
     assert!(refused.to_string().contains("another model"), "{refused}");
 }
 
@@ -407,17 +394,40 @@ fn a_dance_goes_on_from_one_that_was_held_in_place() {
     assert_ne!(place(&next), [0.0; 2]);
 }
 
+/// Pieces are finished as they are decoded, to the same motion as all of it at once.
+#[test]
+fn a_motion_is_finished_in_pieces_as_it_is_at_once() {
+    let manifest = engine().manifest();
+    let columns = manifest.features.columns;
+    let rows = Array2::from_shape_fn((600, columns), |(row, column)| {
+        ((row * 31 + column * 7) % 97) as f32 / 97.0
+    });
+    let options = GenerationOptions {
+        seed: Some(5),
+        ..GenerationOptions::default()
+    };
+    let request = GenerationRequest::features(rows, options);
+    let decoded = engine().generate(request).unwrap().into_decoded();
+    let (skeleton, finish) = (&manifest.skeleton, FinishOptions::default());
+    let at_once = motion::finish(decoded.view(), skeleton, &finish).unwrap();
+    let mut finisher = Finisher::whole(skeleton, &finish).unwrap();
+    for chunk in decoded.axis_chunks_iter(Axis(0), 8 * 256) {
+        finisher.push(chunk).unwrap();
+    }
+    assert_eq!(finisher.end().unwrap(), at_once);
+}
+
 #[test]
 fn a_pair_of_codes_is_a_pose_that_stands() {
-    let pose = choreographer().pose(3, 7).unwrap();
+    let pose = engine().pose([3, 7]).wait().unwrap();
     assert_eq!(pose.dim(), (32, 24, 3));
-    let skeleton = &choreographer().manifest().skeleton;
+    let skeleton = &engine().manifest().skeleton;
     assert!(
         lower_foot_heights(&pose, skeleton)
             .iter()
             .all(|h| h.abs() < 0.1)
     );
-    assert!(choreographer().pose(u32::MAX, 0).is_err());
+    assert!(engine().pose([u32::MAX, 0]).wait().is_err());
 }
 
 #[test]
@@ -433,9 +443,7 @@ fn other_frame_rates_and_a_dancer_in_place() {
             },
             ..GenerationOptions::default()
         };
-        let dance = choreographer()
-            .generate(fixture("demo.ogg").into(), &options, &CancelToken::new())
-            .unwrap();
+        let dance = dance_to(fixture("demo.ogg"), &options);
         let frames = dance.positions.dim().0;
         let code = (8 * fps as usize).div_ceil(60);
         assert!(

@@ -1,33 +1,26 @@
 //! The engine as the bench uses it.
 
-use std::sync::Arc;
-
 use bytes::Bytes;
 use ndarray::Array2;
 
-use super::options::BenchOptions;
+use super::{error::Result, options::BenchOptions};
 use crate::{
-    CancelToken, Result,
-    audio::AudioLimits,
-    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
+    engine::{Engine, EngineConfig, GenerationOptions, GenerationRequest},
     formats::{Codes, GeneratedMotion},
 };
 
 /// An engine, and the song that it generates motion for.
 pub(super) struct Generator {
-    engine: Choreographer,
+    engine: Engine,
     pub(super) song: Bytes,
 }
 
 impl Generator {
     pub(super) fn open(options: &BenchOptions, threads: usize) -> Result<Self> {
-        let engine = Choreographer::open(&EngineConfig {
-            model_dir: options.model_dir.clone(),
+        let engine = Engine::open(&EngineConfig {
             threads,
-            batch: DEFAULT_BATCH.get(),
             queue: 64,
-            audio: AudioLimits::default(),
-            observer: Arc::new(()),
+            ..EngineConfig::new(&options.model_dir)
         })?;
         let song = options.song.clone();
         Ok(Self { engine, song })
@@ -45,17 +38,15 @@ impl Generator {
         seed: u64,
         candidates: Option<usize>,
     ) -> Result<GeneratedMotion> {
-        let options = options(seed, candidates);
-        self.engine.generate(audio, &options, &CancelToken::new())
+        let request = GenerationRequest::audio(audio, options(seed, candidates));
+        let output = self.engine.generate(request)?;
+        Ok(output.into_motion(self.engine.manifest()))
     }
 
     /// Generates the codes of feature rows.
     pub(super) fn rows(&self, rows: Array2<f32>, seed: u64) -> Result<Codes> {
-        let (options, never) = (options(seed, Some(1)), CancelToken::new());
-        let raw = self
-            .engine
-            .dance_to_rows(rows, &options, &never, Arc::new(()))?;
-        Ok(raw.codes)
+        let request = GenerationRequest::features(rows, options(seed, Some(1)));
+        Ok(self.engine.generate(request)?.codes)
     }
 }
 

@@ -2,9 +2,9 @@
 
 use bytes::Bytes;
 
-use super::{clock::timed, generator::Generator, machine, report::LengthPoint};
+use super::{clock::timed, error::Result, generator::Generator, machine, report::LengthPoint};
 use crate::{
-    CancelToken, Result,
+    CancelToken,
     audio::{self, AudioLimits, AudioRange},
     features::Rate,
     formats::{BvhUnit, to_bvh},

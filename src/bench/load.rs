@@ -4,11 +4,12 @@ use std::thread;
 
 use super::{
     clock::{quantile, timed},
+    error::{BenchError, Result},
     generator::Generator,
     report::{LoadPoint, Throughput},
     steps::noise,
 };
-use crate::{Result, engine::EngineError, formats::Codes, model::Manifest};
+use crate::{formats::Codes, model::Manifest};
 
 /// Motions at once.
 const MOTIONS: usize = 8;
@@ -70,7 +71,7 @@ fn at_once<T: Send>(count: usize, work: impl Fn(usize) -> Result<T> + Sync) -> R
         let running: Vec<_> = (0..count).map(spawn).collect();
         let ended = running.into_iter().map(|one| one.join());
         ended
-            .map(|result| result.unwrap_or_else(|_| Err(EngineError::Panicked.into())))
+            .map(|result| result.unwrap_or_else(|_| Err(BenchError::Panicked)))
             .collect()
     })
 }

@@ -3,6 +3,7 @@
 
 mod baseline;
 mod clock;
+mod error;
 mod generator;
 mod length;
 mod load;
@@ -16,6 +17,7 @@ mod steps;
 mod table;
 
 pub use baseline::Baseline;
+pub use error::BenchError;
 pub use options::BenchOptions;
 pub use report::{
     Bench, LengthPoint, LoadPoint, Machine, Stage, StepPoint, ThreadSteps, Throughput,

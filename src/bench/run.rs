@@ -1,10 +1,10 @@
 //! All measurements of a bench, in order.
 
 use super::{
-    clock::timed, generator::Generator, length, load, machine, options::BenchOptions,
-    report::Bench, stages, steps,
+    clock::timed, error::Result, generator::Generator, length, load, machine,
+    options::BenchOptions, report::Bench, stages, steps,
 };
-use crate::{Result, model::ModelDirectory};
+use crate::model::ModelDirectory;
 
 /// Measures everything; `report` is called with the name of each part before it begins.
 ///

@@ -2,12 +2,13 @@
 
 use super::{
     clock::{median, quantile},
+    error::Result,
     generator::Generator,
     options::BenchOptions,
     report::Stage,
 };
 use crate::{
-    CancelToken, Result,
+    CancelToken,
     audio::{self, AudioLimits, AudioRange},
     features::{FeatureExtractor, Profile, Rate},
     formats::{BvhUnit, GeneratedMotion, to_bvh},
@@ -109,13 +110,11 @@ fn generation(generator: &Generator, repeats: usize, threads: usize) -> Result<V
 pub(super) fn decoder(directory: &ModelDirectory, repeats: usize, threads: usize) -> Result<Stage> {
     let manifest = directory.manifest();
     let count = (DECODED_SECONDS * manifest.fps as usize).div_ceil(manifest.frames_per_code.max(1));
-    let [upper, lower] = [manifest.vocabulary.upper, manifest.vocabulary.lower].map(|codes| {
-        let code = |step: usize| (step * 7 % codes.max(1)) as u32;
-        (0..count).map(code).collect::<Vec<u32>>()
-    });
+    let sizes = [manifest.vocabulary.upper, manifest.vocabulary.lower];
+    let pair = |step: usize| sizes.map(|size| (step * 7 % size.max(1)) as u32);
+    let codes: Vec<_> = (0..count).map(pair).collect();
     let mut decoder = directory.decoder(threads)?;
-    let never = CancelToken::new();
-    let seconds = median(repeats, || decoder.decode(&upper, &lower, &never))?;
+    let seconds = median(repeats, || decoder.decode(&codes))?;
     Ok(stage(
         format!("decoder_{DECODED_SECONDS}_s"),
         threads,

@@ -7,12 +7,10 @@ use ndarray::{Array2, Axis, Slice};
 
 use super::{
     clock::{median, quantile, timed},
+    error::Result,
     report::{StepPoint, ThreadSteps},
 };
-use crate::{
-    CancelToken, Result,
-    model::{ModelDirectory, ModelError, NextStep, Steps, WeightStorage},
-};
+use crate::model::{ModelDirectory, ModelError, NextStep, Steps, WeightStorage};
 
 const BATCHES: [usize; 5] = [1, 2, 4, 8, 16];
 /// Windows that are generated, a step at a time.
@@ -29,12 +27,12 @@ pub(super) fn measure(directory: &ModelDirectory, threads: usize) -> Result<Thre
     let (context, hop) = (manifest.gpt.context, manifest.sampling.hop);
     let mut gpt = directory.gpt(threads)?;
     let window = Window::new(directory);
-    let mut cache = gpt.memory(BATCHES.into_iter().max().unwrap_or(1));
+    let mut cache = gpt.cache(BATCHES.into_iter().max().unwrap_or(1));
     let mut steps = Vec::new();
     for batch in BATCHES {
         let mut times = Vec::new();
         for _ in 0..WINDOWS {
-            (0..batch).for_each(|row| cache.forget(row));
+            (0..batch).for_each(|row| cache.clear(row));
             for step in 0..context {
                 let next = vec![window.next(step); batch];
                 let (logits, seconds) = timed(|| gpt.step(&mut cache, &next));
@@ -47,9 +45,7 @@ pub(super) fn measure(directory: &ModelDirectory, threads: usize) -> Result<Thre
         steps.push(StepPoint { batch, seconds });
     }
     let mut prefill = |steps: usize| -> Result<f64, ModelError> {
-        median(9, || {
-            gpt.prime(&mut cache, 0, window.first(steps), &CancelToken::new())
-        })
+        median(9, || gpt.prefill(&mut cache, 0, window.first(steps)))
     };
     // The newest of the kept codes is a step, like all that follow until the window is full.
     let again = match hop {
@@ -72,7 +68,7 @@ pub(super) fn measure(directory: &ModelDirectory, threads: usize) -> Result<Thre
 
 /// A window of codes and music without meaning.
 struct Window {
-    codes: Vec<u32>,
+    codes: Vec<[u32; 2]>,
     music: Array2<f32>,
 }
 
@@ -81,25 +77,23 @@ impl Window {
         let manifest = directory.manifest();
         let context = manifest.gpt.context;
         let vocabulary = manifest.vocabulary.upper.min(manifest.vocabulary.lower);
-        let code = |step: usize| (step * 7 % vocabulary) as u32;
+        let pair = |step: usize| [(step * 7 % vocabulary) as u32; 2];
         Self {
-            codes: (0..context).map(code).collect(),
+            codes: (0..context).map(pair).collect(),
             music: noise(context, manifest.features.columns, 0),
         }
     }
 
     fn next(&self, step: usize) -> NextStep<'_> {
         NextStep {
-            upper: self.codes[step],
-            lower: self.codes[step],
+            codes: self.codes[step],
             music: self.music.row(step),
         }
     }
 
     fn first(&self, steps: usize) -> Steps<'_> {
         Steps {
-            upper: &self.codes[..steps],
-            lower: &self.codes[..steps],
+            codes: &self.codes[..steps],
             music: self.music.slice_axis(Axis(0), Slice::from(..steps)),
         }
     }

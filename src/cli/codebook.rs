@@ -8,7 +8,6 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    Error,
     codebook::{Catalogue, Half, Order, Uses},
     formats::Codes,
     model::ModelDirectory,
@@ -56,7 +55,7 @@ enum SortArg {
 }
 
 pub(super) fn run(args: &CodebookArgs) -> anyhow::Result<()> {
-    let directory = ModelDirectory::open(&args.model_dir).map_err(Error::from)?;
+    let directory = ModelDirectory::open(&args.model_dir)?;
     let uses = args.uses(&directory)?;
     let threads = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     let catalogue = Catalogue::new(&directory, threads, uses.as_ref(), args.pairs)?;

@@ -2,10 +2,7 @@
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
-use bailando::{
-    Error,
-    evaluation::{BeatsFrom, Clips, EvaluationOptions, KineticForm, evaluate},
-};
+use bailando::evaluation::{BeatsFrom, Clips, EvaluationOptions, KineticForm, evaluate};
 use clap::ValueEnum;
 
 use super::console::{say, say_error, write_file};
@@ -94,9 +91,9 @@ impl EvaluateArgs {
 }
 
 pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
-    let report = evaluate(&args.options()).map_err(Error::from)?;
+    let report = evaluate(&args.options())?;
     if let Some(path) = &args.plot {
-        write_file(path, report.svg().map_err(Error::from)?)?;
+        write_file(path, report.svg()?)?;
     }
     if args.json {
         for warning in &report.warnings {

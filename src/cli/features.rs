@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use bailando::{
-    CancelToken, Error,
+    CancelToken,
     audio::{self, AudioLimits, AudioRange},
     features::{FeatureExtractor, Profile, Rate, with_counts_of},
     model::ModelDirectory,
@@ -75,7 +75,7 @@ struct Columns {
 impl FeaturesArgs {
     fn columns(&self) -> anyhow::Result<Columns> {
         if let Some(folder) = &self.model_dir {
-            let directory = ModelDirectory::open(folder).map_err(Error::from)?;
+            let directory = ModelDirectory::open(folder)?;
             let features = &directory.manifest().features;
             return Ok(Columns {
                 rate: Rate::Conditioning,

@@ -10,9 +10,8 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    CancelToken,
     audio::{AudioLimits, AudioRange},
-    engine::{Choreographer, EngineConfig, GenerationOptions, MAX_CANDIDATES},
+    engine::{Engine, EngineConfig, GenerationOptions, GenerationRequest, MAX_CANDIDATES},
     features::{COLUMNS, with_counts},
     formats::{Codes, Continuation, GeneratedMotion},
     model::WindowKind,
@@ -45,7 +44,7 @@ pub(super) struct GenerateArgs {
     threads: Option<NonZeroUsize>,
     #[command(flatten)]
     sampling: SamplingArgs,
-    /// The `tail` in the JSON of an earlier dance, from whose end the new one goes on
+    /// The `tail` in the JSON of an earlier dance, which the new one continues
     #[arg(long, value_name = "TAIL")]
     continue_from: Option<Continuation>,
     #[command(flatten)]
@@ -54,7 +53,7 @@ pub(super) struct GenerateArgs {
     rows: RowsArgs,
 }
 
-/// How the dance is chosen; what is absent is the model's own default.
+/// How the dance is chosen; absent options have the model's own defaults.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Sampling")]
 struct SamplingArgs {
@@ -67,18 +66,18 @@ struct SamplingArgs {
     /// Draw from this many most likely codes only
     #[arg(long)]
     top_k: Option<usize>,
-    /// How strongly the dance follows the music's beat: 1 as the model says, above it more so,
+    /// How strongly the dance follows the music's beat: 1 as the model predicts, above it more so,
     /// below it less; other than 1 costs twice as much
     #[arg(long)]
     guidance: Option<f32>,
-    /// Candidates for every two to four seconds of dance, of which that is taken whose beats lie
-    /// nearest to the music's, less its share of frames that stand still; the cost grows with them.
-    /// One with --features, which tell no beats
+    /// Candidates for every two to four seconds of dance; the best is kept: its beats lie nearest
+    /// to the music's, and few of its frames stand still. The cost grows with them. Always one
+    /// with --features, which carry no beats
     #[arg(long)]
     candidates: Option<usize>,
     /// Whether two to four seconds of dance in which the dancer stands still (of several candidates
-    /// also: goes to the ground) are danced anew, up to three times and with at most 12 candidates
-    /// in all [default: the model's, and true with several candidates]
+    /// also: goes to the ground) are generated again, up to three times and with at most 12
+    /// candidates in all [default: the model's, and true with several candidates]
     #[arg(long, value_name = "BOOL")]
     redo: Option<bool>,
     /// First pose code of the upper body
@@ -95,7 +94,7 @@ struct SamplingArgs {
     hop: Option<usize>,
 }
 
-/// What is made of the song.
+/// How the song is used.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Song and motion")]
 struct SongArgs {
@@ -161,19 +160,17 @@ pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<()> {
 }
 
 impl GenerateArgs {
-    fn open(&self, queue: usize) -> anyhow::Result<Choreographer> {
-        let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
-        Ok(Choreographer::open(&EngineConfig {
-            model_dir: self.model_dir.clone(),
-            threads: self.threads.map_or_else(cores, NonZeroUsize::get),
-            // Whatever the options allow.
+    fn open(&self) -> anyhow::Result<Engine> {
+        let defaults = EngineConfig::new(&self.model_dir);
+        Ok(Engine::open(&EngineConfig {
+            threads: self.threads.map_or(defaults.threads, NonZeroUsize::get),
+            // Enough for all that the options allow.
             batch: 2 * MAX_CANDIDATES,
-            queue,
             audio: AudioLimits {
                 max_seconds: self.song.max_audio_seconds,
                 ..AudioLimits::default()
             },
-            observer: std::sync::Arc::new(()),
+            ..defaults
         })?)
     }
 
@@ -216,18 +213,16 @@ impl GenerateArgs {
     }
 }
 
-/// Every song is tried; the command fails at the end when one did not work.
+/// Tries every song; fails at the end when one did not work.
 fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
     let inputs = audio_files(&args.audio)?;
     let targets = args.output.targets(&inputs)?;
-    let choreographer = args.open(1)?;
-    choreographer
-        .check(&args.options(false))
-        .map_err(bailando::Error::from)?;
+    let engine = args.open()?;
+    engine.check(&args.options(false))?;
     let mut first_failure = None;
     let mut failures = 0;
     for (input, (target, format)) in inputs.iter().zip(&targets) {
-        if let Err(error) = one_song(args, &choreographer, input, target, *format) {
+        if let Err(error) = one_song(args, &engine, input, target, *format) {
             let error = error.context(input.display().to_string());
             failures += 1;
             match inputs.len() {
@@ -248,7 +243,7 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
 
 fn one_song(
     args: &GenerateArgs,
-    choreographer: &Choreographer,
+    engine: &Engine,
     input: &Path,
     target: &Path,
     format: FileFormat,
@@ -257,12 +252,9 @@ fn one_song(
     let audio = fs::read(input)?;
     let options = args.options(format == FileFormat::Json);
     let bar = Arc::new(Bar::new(&input.display().to_string()));
-    let dance = choreographer.generate_with_progress(
-        audio.into(),
-        &options,
-        &CancelToken::new(),
-        Arc::clone(&bar) as _,
-    )?;
+    let request = GenerationRequest::audio(audio, options).with_progress(Arc::clone(&bar) as _);
+    let output = engine.generate(request)?;
+    let dance = output.into_motion(engine.manifest());
     drop(bar);
     args.output.write(&dance, target, format)?;
     report(&dance, target, started);
@@ -296,40 +288,33 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
         check_folder_of(path)?;
     }
     let rows = read_rows(features)?;
-    let choreographer = args.open(1)?;
-    let rows = with_columns_of(&choreographer, rows, args, features);
-    let raw = choreographer.dance_to_rows(
-        rows,
-        &args.options(false),
-        &CancelToken::new(),
-        Arc::new(Bar::new(&features.display().to_string())),
-    )?;
+    let engine = args.open()?;
+    let rows = with_columns_of(&engine, rows, args, features);
+    let bar = Arc::new(Bar::new(&features.display().to_string()));
+    let request = GenerationRequest::features(rows, args.options(false)).with_progress(bar);
+    let output = engine.generate(request)?;
+    let (codes, seed) = (output.codes.upper.len(), output.seed);
     if let Some(path) = codes_out {
-        ndarray_npy::write_npy(path, &codes_array(&raw.codes))
+        ndarray_npy::write_npy(path, &codes_array(&output.codes))
             .with_context(|| path.display().to_string())?;
     }
     if let Some(path) = positions_out {
-        let positions =
-            motion::integrate_root(raw.motion.view(), [0.0; 3]).map_err(bailando::Error::from)?;
+        let positions = motion::integrate_root(output.into_decoded().view(), [0.0; 3])?;
         write_positions(path, &positions)?;
     }
-    say(&format!(
-        "{} code pairs, seed {}",
-        raw.codes.upper.len(),
-        raw.seed
-    ));
+    say(&format!("{codes} code pairs, seed {seed}"));
     Ok(())
 }
 
 /// Rows of 438 columns know no counts: to a model with count columns, they are those of a song
 /// without regular beats.
 fn with_columns_of(
-    choreographer: &Choreographer,
+    engine: &Engine,
     rows: Array2<f32>,
     args: &GenerateArgs,
     path: &Path,
 ) -> Array2<f32> {
-    let wanted = &choreographer.manifest().features;
+    let wanted = &engine.manifest().features;
     if rows.ncols() != COLUMNS || wanted.columns == COLUMNS {
         return rows;
     }

@@ -14,7 +14,7 @@ mod serve;
 
 use std::process::ExitCode;
 
-use bailando::{Error, engine::EngineError, evaluation::EvaluationError};
+use bailando::{engine::EngineError, evaluation::EvaluationError};
 use clap::{Parser, Subcommand};
 use console::{Usage, say_error};
 
@@ -67,12 +67,7 @@ pub(crate) fn run() -> ExitCode {
 }
 
 fn is_usage(error: &anyhow::Error) -> bool {
-    let option = |error: &Error| {
-        matches!(
-            error,
-            Error::Engine(EngineError::Option { .. })
-                | Error::Evaluation(EvaluationError::Option(_))
-        )
-    };
-    error.is::<Usage>() || error.downcast_ref::<Error>().is_some_and(option)
+    error.is::<Usage>()
+        || matches!(error.downcast_ref(), Some(EngineError::Option { .. }))
+        || matches!(error.downcast_ref(), Some(EvaluationError::Option(_)))
 }

@@ -150,7 +150,7 @@ impl OutputArgs {
             UnitArg::M => BvhUnit::Metre,
         };
         let bytes = format.write(dance, &json, unit);
-        write_file(path, bytes.map_err(bailando::Error::from)?)
+        write_file(path, bytes?)
     }
 }
 

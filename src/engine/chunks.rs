@@ -1,30 +1,30 @@
-//! Which codes are decoded together: chunks that overlap, so that motion is the same as at once, with bounded
-//! memory and while later codes are still unknown.
+//! Which codes are decoded together: chunks that overlap, so that motion is the same as at once,
+//! with bounded memory and while later codes are still unknown.
 
-use crate::formats::Codes;
-
-/// Codes decoded per chunk besides the overlap, which is a sixth of the work then; memory does not grow
-/// with the song.
+/// Codes decoded per chunk besides the overlap, which is a sixth of the work then; memory does not
+/// grow with the song.
 pub(crate) const CHUNK_CODES: usize = 256;
-/// Codes of the first chunk where somebody waits for it, a little more than the floor's lookahead; each further one is
+/// Codes of a stream's first chunk, a little more than the floor's lookahead; each further chunk is
 /// twice as long.
 const FIRST_CHUNK: usize = 24;
-/// Codes that are left for the last chunk where nobody sees frames before, up to twice as many: all others are decoded while the
-/// model still chooses codes, and during the last one it has nothing left to do.
+/// Codes of the last chunk of a motion that is wanted whole, up to twice as many: all others are
+/// decoded while the model still chooses codes, and during the last one it has nothing left to do.
 const LAST_CHUNK: usize = 96;
 
-/// What of a dance is decoded next, by its length and nothing else: motion does not depend on what else is computed meanwhile.
+/// The order in which codes are decoded. It depends on the number of codes alone, so that a motion does not depend
+/// on what else is computed meanwhile.
 ///
-/// The codes that the decoder sees on either side of a chunk are decoded with it and dropped again; only the
-/// dance's own ends see the zero padding (ARCHITECTURE section 2).
+/// The codes that the decoder sees on either side of a chunk are decoded with it and dropped again;
+/// only the motion's own ends see the zero padding (ARCHITECTURE section 2).
 #[derive(Debug)]
 pub(crate) struct ChunkPlan {
     /// Codes that the decoder sees on either side of one.
     receptive: usize,
-    /// Codes that come before the dance: they are decoded with it, so that it goes on from them.
-    history: Codes,
-    /// Codes of the whole dance, and of the chunks so far.
+    /// Codes before the first: they are decoded with it, so that the motion continues them.
+    prompt: Vec<[u32; 2]>,
+    /// Codes of the whole motion.
     total: usize,
+    /// Codes of the chunks so far.
     planned: usize,
     /// Codes of the next chunk.
     size: usize,
@@ -35,7 +35,7 @@ pub(crate) struct ChunkPlan {
 /// Codes to decode, with those around them that the decoder sees.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Chunk {
-    pub(crate) codes: Codes,
+    pub(crate) codes: Vec<[u32; 2]>,
     /// How many of them come before the chunk.
     pub(crate) before: usize,
     /// How many are the chunk.
@@ -43,12 +43,12 @@ pub(crate) struct Chunk {
 }
 
 impl ChunkPlan {
-    /// Nothing yet of a dance of `total` codes behind those of `history`, for a decoder that sees `receptive` codes on either
-    /// side of one.
-    pub(crate) fn new(total: usize, history: Codes, receptive: usize) -> Self {
+    /// A plan for `total` codes after those of `prompt`, and a decoder that sees `receptive` codes
+    /// on either side of one.
+    pub(crate) fn new(total: usize, prompt: Vec<[u32; 2]>, receptive: usize) -> Self {
         Self {
             receptive,
-            history,
+            prompt,
             total,
             planned: 0,
             size: CHUNK_CODES,
@@ -75,32 +75,23 @@ impl ChunkPlan {
         self.planned >= self.total
     }
 
-    /// The next chunk, if `codes` (upper and lower) know it and what follows it as far as it matters.
-    pub(crate) fn next(&mut self, codes: [&[u32]; 2]) -> Option<Chunk> {
+    /// The next chunk, once `codes` reach as far as the decoder sees from it.
+    pub(crate) fn next(&mut self, codes: &[[u32; 2]]) -> Option<Chunk> {
         let receptive = self.receptive;
         let length = self.next_length();
         let end = (self.planned + length + receptive).min(self.total);
-        let known = codes.iter().all(|half| half.len() >= end);
-        if self.is_complete() || !known {
+        if self.is_complete() || codes.len() < end {
             return None;
         }
-        // From here on counted from the first code of the history.
-        let history = self.history.upper.len();
-        let from = history + self.planned;
+        // From here on counted from the first code of the prompt.
+        let from = self.prompt.len() + self.planned;
         let first = from.saturating_sub(receptive);
-        let [upper, lower] = codes;
-        let part = |history_half: &[u32], half: &[u32]| -> Vec<u32> {
-            let all = history_half.iter().chain(half);
-            let part = all.take(history + end).skip(first);
-            part.copied().collect()
-        };
+        let all = self.prompt.iter().chain(&codes[..end]);
+        let codes = all.skip(first).copied().collect();
         self.planned += length;
         self.size = (2 * self.size).min(CHUNK_CODES);
         Some(Chunk {
-            codes: Codes {
-                upper: part(&self.history.upper, upper),
-                lower: part(&self.history.lower, lower),
-            },
+            codes,
             before: from - first,
             length,
         })
@@ -123,13 +114,13 @@ mod tests {
     const RECEPTIVE: usize = 25;
 
     fn plan(total: usize) -> ChunkPlan {
-        ChunkPlan::new(total, Codes::default(), RECEPTIVE)
+        ChunkPlan::new(total, Vec::new(), RECEPTIVE)
     }
 
     /// Lengths of the chunks once all codes are known.
     fn lengths(mut plan: ChunkPlan) -> Vec<usize> {
-        let codes = vec![0; plan.total];
-        std::iter::from_fn(|| plan.next([&codes, &codes]).map(|chunk| chunk.length)).collect()
+        let codes = vec![[0; 2]; plan.total];
+        std::iter::from_fn(|| plan.next(&codes).map(|chunk| chunk.length)).collect()
     }
 
     #[test]
@@ -143,38 +134,31 @@ mod tests {
     }
 
     #[test]
-    fn where_somebody_waits_the_first_chunk_is_small() {
+    fn the_first_chunk_of_a_stream_is_small() {
         assert_eq!(lengths(plan(20).soon()), [20]);
         assert_eq!(lengths(plan(228).soon()), [24, 48, 96, 60]);
     }
 
     #[test]
     fn a_chunk_waits_for_what_the_decoder_sees_and_brings_it_along() {
-        let upper: Vec<u32> = (0..228).collect();
-        let lower: Vec<u32> = upper.iter().map(|code| code + 1000).collect();
-        let known = |codes: usize| [&upper[..codes], &lower[..codes]];
+        let codes: Vec<[u32; 2]> = (0..228).map(|code| [code, code + 1000]).collect();
         let mut plan = plan(228);
-        assert_eq!(plan.next(known(132 + RECEPTIVE - 1)), None);
-        let first = plan.next(known(132 + RECEPTIVE)).unwrap();
+        assert_eq!(plan.next(&codes[..132 + RECEPTIVE - 1]), None);
+        let first = plan.next(&codes[..132 + RECEPTIVE]).unwrap();
         assert_eq!((first.before, first.length), (0, 132));
-        assert_eq!(first.codes.upper, upper[..132 + RECEPTIVE]);
-        assert_eq!(plan.next(known(227)), None);
-        let last = plan.next(known(228)).unwrap();
+        assert_eq!(first.codes, codes[..132 + RECEPTIVE]);
+        assert_eq!(plan.next(&codes[..227]), None);
+        let last = plan.next(&codes).unwrap();
         assert_eq!((last.before, last.length), (RECEPTIVE, 96));
-        assert_eq!(last.codes.lower, lower[132 - RECEPTIVE..]);
-        assert!(plan.is_complete() && plan.next(known(228)).is_none());
+        assert_eq!(last.codes, codes[132 - RECEPTIVE..]);
+        assert!(plan.is_complete() && plan.next(&codes).is_none());
     }
 
     #[test]
-    fn the_dance_before_is_seen_by_the_first_chunk() {
-        let history = Codes {
-            upper: vec![7; 40],
-            lower: vec![8; 40],
-        };
-        let mut plan = ChunkPlan::new(2, history, RECEPTIVE);
-        let chunk = plan.next([&[1, 2], &[3, 4]]).unwrap();
+    fn the_first_chunk_sees_the_prompt() {
+        let mut plan = ChunkPlan::new(2, vec![[7, 8]; 40], RECEPTIVE);
+        let chunk = plan.next(&[[1, 3], [2, 4]]).unwrap();
         assert_eq!((chunk.before, chunk.length), (RECEPTIVE, 2));
-        assert_eq!(chunk.codes.upper[RECEPTIVE - 1..], [7, 1, 2]);
-        assert_eq!(chunk.codes.lower[RECEPTIVE - 1..], [8, 3, 4]);
+        assert_eq!(chunk.codes[RECEPTIVE - 1..], [[7, 8], [1, 3], [2, 4]]);
     }
 }

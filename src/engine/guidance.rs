@@ -1,21 +1,27 @@
-//! Guidance by the music: classifier-free guidance (Ho and Salimans 2022) of a GPT's next codes.
+//! Classifier-free guidance (Ho and Salimans 2022) of the next codes by the music.
 
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis, Slice};
 
 use crate::features::COLUMNS;
 
-/// A song without its time, and how far a dance is led away from what it would be to that.
+/// Rows of the batch that one sequence takes: a second one without the music's time where it is
+/// guided.
+pub(crate) fn branches(guidance: f32) -> usize {
+    1 + usize::from(guidance != 1.0)
+}
+
+/// The conditioning without its time, and how far a sequence is guided away from it.
 #[derive(Clone, Debug)]
-pub(crate) struct Guide {
+pub(crate) struct ClassifierFreeGuidance {
     guidance: f32,
     timeless: Array2<f32>,
 }
 
-impl Guide {
-    /// For music rows `[rows, columns]`. None for a guidance of 1, which is the model as it is.
+impl ClassifierFreeGuidance {
+    /// Guidance for feature rows `[rows, columns]`; none for 1, which is the model as it is.
     ///
-    /// Without time a song is the mean of its rows; where the model is given counts, only these
-    /// are: which song it is stays known, and what is left apart is where its beat is.
+    /// Without time the rows are their mean. Where the model is conditioned on counts, only those
+    /// columns are: the song stays known, and only the place of its beats is left out.
     pub(crate) fn new(guidance: f32, music: ArrayView2<'_, f32>) -> Option<Self> {
         if guidance == 1.0 {
             return None;
@@ -31,21 +37,21 @@ impl Guide {
         Some(Self { guidance, timeless })
     }
 
-    /// Rows of the song without time, as many as it has.
+    /// Feature rows without time, as many as with it.
     pub(crate) fn timeless(&self) -> ArrayView2<'_, f32> {
         self.timeless.view()
     }
 
-    /// Leads `heard` away from `unheard`: at 0 it becomes that, at 1 it stays, beyond it exaggerates
-    /// what the music's time changes.
-    pub(crate) fn lead<'a>(
+    /// Guides logits with time away from those without: 0 gives those without, 1 those with, and
+    /// more exaggerates what the music's time changes.
+    pub(crate) fn guide<'a>(
         &self,
-        heard: ArrayView1<'a, f32>,
-        unheard: ArrayView1<'a, f32>,
+        with_time: ArrayView1<'a, f32>,
+        without: ArrayView1<'a, f32>,
     ) -> impl Iterator<Item = f32> {
         let guidance = self.guidance;
-        let pairs = heard.into_iter().zip(unheard);
-        pairs.map(move |(heard, unheard)| unheard + guidance * (heard - unheard))
+        let pairs = with_time.into_iter().zip(without);
+        pairs.map(move |(with_time, without)| without + guidance * (with_time - without))
     }
 }
 
@@ -60,7 +66,7 @@ mod tests {
         let music = Array2::from_shape_fn((3, COLUMNS + 2), |(row, column)| {
             (row * row) as f32 + column as f32
         });
-        let guide = Guide::new(2.0, music.view()).unwrap();
+        let guide = ClassifierFreeGuidance::new(2.0, music.view()).unwrap();
         let timeless = guide.timeless();
         assert_eq!(
             timeless.slice_axis(Axis(1), Slice::from(..COLUMNS)),
@@ -76,20 +82,20 @@ mod tests {
     #[test]
     fn without_counts_all_of_a_song_is_its_mean() {
         let music = array![[0.0, 4.0], [2.0, 8.0]];
-        let guide = Guide::new(0.5, music.view()).unwrap();
+        let guide = ClassifierFreeGuidance::new(0.5, music.view()).unwrap();
         assert_eq!(guide.timeless(), array![[1.0, 6.0], [1.0, 6.0]]);
-        assert!(Guide::new(1.0, music.view()).is_none());
+        assert!(ClassifierFreeGuidance::new(1.0, music.view()).is_none());
     }
 
     #[test]
     fn what_time_changes_is_exaggerated() {
         for (guidance, wanted) in [(0.0, [1.0, 0.0]), (1.0, [1.0, 2.0]), (3.0, [1.0, 6.0])] {
-            let guide = Guide {
+            let guide = ClassifierFreeGuidance {
                 guidance,
                 timeless: array![[0.0]],
             };
-            let led = guide.lead(aview1(&[1.0, 2.0]), aview1(&[1.0, 0.0]));
-            assert_eq!(led.collect::<Vec<_>>(), wanted);
+            let guided = guide.guide(aview1(&[1.0, 2.0]), aview1(&[1.0, 0.0]));
+            assert_eq!(guided.collect::<Vec<_>>(), wanted);
         }
     }
 }

@@ -1,31 +1,52 @@
-//! The generation loop and its schedule; knows no HTTP.
+//! Schedules generations; knows no HTTP.
+//!
+//! A request's way: [`Engine::submit`] checks its options → a frontend thread decodes the song and
+//! computes its features (`frontend`, `prepare`) → the scheduler's thread chooses code pairs, one
+//! step for all running requests (`scheduler`, `sequence`) → the decoder's thread makes motion of
+//! each chunk of codes and finishes it (`decoding`) → the future of the caller.
 
-mod batch;
-mod choreographer;
 mod chunk_decoder;
 mod chunks;
-mod ears;
+mod code_model;
+mod codes;
+mod completion;
+mod conditioning;
+
+mod decoding;
+#[expect(
+    clippy::module_inception,
+    reason = "the engine itself is its largest part"
+)]
+mod engine;
 mod error;
-mod frames;
+#[cfg(test)]
+mod fake;
+mod frontend;
 mod guidance;
 mod observer;
 mod options;
-mod piece;
+mod pose;
+mod prepare;
 mod progress;
+mod prompt;
 mod queue;
-mod reply;
+mod request;
 mod sampler;
-mod search;
-mod sessions;
-mod song;
-mod tail;
+mod scheduler;
+mod scorer;
+mod segment;
+mod self_test;
+mod sequence;
+mod start_codes;
+mod threads;
 mod window;
-mod worker;
 
 pub use crate::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE};
-pub use choreographer::{Choreographer, DEFAULT_BATCH, Ending, EngineConfig, RawDance};
+pub use completion::{Generation, Pending};
+pub use engine::{DEFAULT_BATCH, Engine, EngineConfig};
 pub use error::EngineError;
 pub use observer::Observer;
 pub use options::GenerationOptions;
-pub use progress::{Listener, Opening, Progress, Stage};
+pub use progress::{MotionStream, Opening, Progress, Stage};
+pub use request::{GenerationOutput, GenerationRequest, MotionOutput, MusicSource};
 pub use sampler::MAX_SEED;

@@ -1,6 +1,11 @@
 //! What a caller may choose about a generation.
 
-use super::{EngineError, MAX_SEED, worker::branches};
+use super::{
+    EngineError,
+    guidance::branches,
+    sampler::{MAX_SEED, Sampling},
+    window::Window,
+};
 use crate::{
     audio::AudioRange,
     formats::Continuation,
@@ -17,14 +22,15 @@ pub struct GenerationOptions {
     pub temperature: Option<f32>,
     /// Draw from this many most likely codes.
     pub top_k: Option<usize>,
-    /// How strongly the dance follows the music's time: 1 as the model says, more exaggerates it, less
-    /// hides it; other than 1 costs twice as much.
+    /// How strongly the dance follows the music's time: 1 as the model predicts, more exaggerates
+    /// it, less hides it; other than 1 costs twice as much.
     pub guidance: Option<f32>,
-    /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's, less
-    /// its share of frames that stand still.
+    /// Candidates for every segment, two to four seconds. The best is kept: its beats lie nearest
+    /// to the music's, and few of its frames stand still.
     pub candidates: Option<usize>,
-    /// Whether a phrase in which the dancer stands still (of several candidates also: goes to the ground) is danced
-    /// anew, up to three times and with at most 12 candidates in all; as the model says if absent, and where there are several candidates.
+    /// Whether a segment in which the dancer stands still (of several candidates also: goes to the
+    /// ground) is generated again, up to three times and with at most 12 candidates in all. Absent:
+    /// as the model says, and where there are several candidates.
     pub redo: Option<bool>,
     /// First upper pose code; drawn from the manifest's list if absent.
     pub start_upper: Option<u32>,
@@ -34,7 +40,8 @@ pub struct GenerationOptions {
     pub window: Option<WindowKind>,
     /// Codes kept when a hop window shrinks.
     pub hop: Option<usize>,
-    /// The end of an earlier dance, which this one goes on from; its codes take the place of start codes.
+    /// The end of an earlier dance, which this one continues; its codes take the place of start
+    /// codes.
     pub continue_from: Option<Continuation>,
     /// Which part of the song.
     pub range: AudioRange,
@@ -44,6 +51,25 @@ pub struct GenerationOptions {
     pub root_motion: bool,
     /// Whether to find the music's tempo and beats.
     pub music: bool,
+}
+
+/// The options of one sequence, with the manifest's defaults filled in.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SamplingParams {
+    /// How the next code is chosen.
+    pub(crate) sampling: Sampling,
+    /// How strongly the music's time is followed.
+    pub(crate) guidance: f32,
+    /// Candidates for every segment; 1 where they would not differ.
+    pub(crate) candidates: usize,
+    /// Whether a segment is generated again where it stands still.
+    pub(crate) redo: bool,
+    /// Seed of the request's generator.
+    pub(crate) seed: u64,
+    /// Given start codes, upper and lower.
+    pub(crate) start: [Option<u32>; 2],
+    /// How the window of past codes moves.
+    pub(crate) window: Window,
 }
 
 impl Default for GenerationOptions {
@@ -69,7 +95,29 @@ impl Default for GenerationOptions {
 }
 
 impl GenerationOptions {
-    /// Checks every option against the model of `manifest`, of which `batch` dances share a step.
+    /// These options for the model of `manifest` and a batch of so many rows.
+    pub(crate) fn resolve(&self, manifest: &Manifest, batch: usize, seed: u64) -> SamplingParams {
+        let defaults = manifest.sampling;
+        SamplingParams {
+            sampling: Sampling {
+                temperature: self.temperature.unwrap_or(defaults.temperature),
+                top_k: self.top_k.or(defaults.top_k),
+            },
+            guidance: self.guidance.unwrap_or(defaults.guidance),
+            candidates: self.candidates(manifest, batch),
+            redo: self.redo(manifest, batch),
+            seed,
+            start: [self.start_upper, self.start_lower],
+            window: Window::new(
+                self.window.unwrap_or(defaults.window),
+                self.hop.unwrap_or(defaults.hop),
+                manifest.gpt.context,
+            ),
+        }
+    }
+
+    /// Checks every option against the model of `manifest`, of which `batch` sequences share a
+    /// step.
     ///
     /// # Errors
     /// [`EngineError::Option`] names the first option that does not fit, and what does.
@@ -106,7 +154,7 @@ impl GenerationOptions {
         check_between("hop", self.hop, 1, manifest.gpt.context)
     }
 
-    /// What needs several dances side by side must fit into the batch.
+    /// Sequences that are computed side by side must fit into the batch.
     fn check_batch(&self, manifest: &Manifest, batch: usize) -> Result<(), EngineError> {
         let branches = branches(self.guidance.unwrap_or(manifest.sampling.guidance));
         if branches > batch {
@@ -136,8 +184,8 @@ impl GenerationOptions {
         check_between("start_lower", lower, 0, vocabulary.lower - 1)
     }
 
-    /// Candidates for every phrase: as many as asked for, else the model's own, as far as `batch` has room
-    /// for them; one where they would not differ.
+    /// Candidates for every segment: as many as asked for, else the model's own, as far as `batch`
+    /// has room for them; one where they would not differ.
     pub(super) fn candidates(&self, manifest: &Manifest, batch: usize) -> usize {
         let defaults = manifest.sampling;
         if !self.has_chance(manifest) {
@@ -148,13 +196,13 @@ impl GenerationOptions {
         self.candidates.unwrap_or(own)
     }
 
-    /// Whether phrases are danced anew where they stand still.
-    pub(super) fn redo(&self, manifest: &Manifest, batch: usize) -> bool {
+    /// Whether segments are generated again where they stand still.
+    fn redo(&self, manifest: &Manifest, batch: usize) -> bool {
         let own = manifest.sampling.redo || self.candidates(manifest, batch) > 1;
         self.redo.unwrap_or(own) && self.has_chance(manifest)
     }
 
-    /// Whether a dance may come out otherwise with other random numbers.
+    /// Whether other random numbers could lead to another dance.
     fn has_chance(&self, manifest: &Manifest) -> bool {
         let defaults = manifest.sampling;
         let temperature = self.temperature.unwrap_or(defaults.temperature);

@@ -1,4 +1,4 @@
-//! How far a generation has come, and what there is of it already.
+//! Progress of a generation, and its motion as a stream.
 
 use std::time::{Duration, Instant};
 
@@ -22,29 +22,32 @@ pub enum Stage {
     Motion,
 }
 
-/// Hears how far a generation has come; called from several threads.
+/// Receives a generation's progress; called from several threads.
+///
+/// The engine drops it when the work has ended, whichever way: until then it can own what the work
+/// uses up, for example a permit.
 pub trait Progress: Send + Sync {
     /// A stage begins.
     fn stage(&self, _stage: Stage) {}
-    /// The audio is decoded; so much of it is danced to.
+    /// The audio is decoded: the part that is used lasts so many seconds.
     fn decoded(&self, _seconds: f64) {}
     /// `done` of `total` code pairs exist.
     fn codes(&self, _done: usize, _total: usize) {}
 }
 
-/// Hears nothing.
+/// Ignores everything.
 impl Progress for () {}
 
-/// Hears a dance while it is generated.
-pub trait Listener: Progress {
-    /// The music is known, and what the dance will be; called once, before any frames.
+/// Receives a motion while it is generated.
+pub trait MotionStream: Send + Sync {
+    /// The music is known, and what the motion will be; called once, before any frames.
     fn opened(&self, opening: Opening);
-    /// The next frames of decoded motion, `[frames, 3 joints]`, for the opening's finisher. Called on the
-    /// thread that makes everybody's frames: it must not wait.
+    /// The next frames of decoded motion, `[frames, 3 joints]`, for the opening's finisher. The
+    /// decoder's thread calls it, which serves all requests: it must not wait.
     fn frames(&self, motion: Array2<f32>);
 }
 
-/// What is known of a dance before its first frame.
+/// Properties of a motion that are known before its first frame.
 #[derive(Debug)]
 pub struct Opening {
     /// Name of the model.
@@ -55,17 +58,17 @@ pub struct Opening {
     pub skeleton: Skeleton,
     /// Frames per second.
     pub fps: u32,
-    /// Frames of the whole dance.
+    /// Frames of the whole motion.
     pub frames: usize,
     /// Where positions come from.
     pub positions_source: PositionsSource,
     /// Tempo and beats, when asked for.
     pub music: Option<MusicInfo>,
-    /// Wall time of what is done.
+    /// Wall time of the stages so far.
     pub timings: Timings,
     /// What was trimmed, truncated or assumed.
     pub warnings: Vec<String>,
-    /// Makes a dance of the decoded motion.
+    /// Finishes the decoded motion.
     pub finisher: Finisher,
 }
 

@@ -1,120 +1,101 @@
-//! A bounded queue between request threads and the model's thread, from which a request that is
-//! no longer wanted takes itself out again.
+//! A bounded queue between threads that gives up cancelled requests first.
 
-use std::{
-    collections::VecDeque,
-    sync::{Condvar, Mutex, MutexGuard, PoisonError},
-};
+use std::collections::VecDeque;
 
-/// Why something was not queued.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Refused {
-    /// As many wait as may wait.
-    Full,
-    /// Nobody takes from the queue any more.
-    Closed,
+use parking_lot::{Condvar, Mutex};
+
+use super::EngineError;
+
+/// Something in a [`Queue`].
+pub(crate) trait Entry {
+    /// Whether somebody still waits for its result.
+    fn is_wanted(&self) -> bool;
 }
 
 /// First in, first out; at most `capacity` wait.
 #[derive(Debug)]
 pub(crate) struct Queue<T> {
     state: Mutex<State<T>>,
-    // Told of everything that is put in, and of the end.
+    /// Notified of every new entry, and of the end.
     changed: Condvar,
     capacity: usize,
 }
 
 #[derive(Debug)]
 struct State<T> {
-    waiting: VecDeque<(u64, T)>,
-    next: u64,
+    waiting: VecDeque<T>,
     closed: bool,
 }
 
-impl<T> Queue<T> {
+impl<T: Entry> Queue<T> {
     pub(crate) fn new(capacity: usize) -> Self {
-        let state = State {
-            waiting: VecDeque::new(),
-            next: 0,
-            closed: false,
-        };
         Self {
-            state: Mutex::new(state),
+            state: Mutex::new(State {
+                waiting: VecDeque::new(),
+                closed: false,
+            }),
             changed: Condvar::new(),
             capacity: capacity.max(1),
         }
     }
 
-    pub(crate) fn capacity(&self) -> usize {
-        self.capacity
-    }
-
-    /// Puts `item` at the end; the number takes it out again.
-    pub(crate) fn push(&self, item: T) -> Result<u64, Refused> {
-        let mut state = self.state();
+    /// Puts `entry` at the end. Where the queue is full, cancelled entries give way.
+    ///
+    /// # Errors
+    /// [`EngineError::QueueFull`], or [`EngineError::Stopped`] once the queue is closed.
+    pub(crate) fn push(&self, entry: T) -> Result<(), EngineError> {
+        let mut state = self.state.lock();
         if state.closed {
-            return Err(Refused::Closed);
+            return Err(EngineError::Stopped);
         }
         if state.waiting.len() >= self.capacity {
-            return Err(Refused::Full);
+            state.waiting.retain(Entry::is_wanted);
         }
-        let number = state.next;
-        state.next += 1;
-        state.waiting.push_back((number, item));
+        if state.waiting.len() >= self.capacity {
+            return Err(EngineError::QueueFull {
+                capacity: self.capacity,
+            });
+        }
+        state.waiting.push_back(entry);
         self.changed.notify_one();
-        Ok(number)
+        Ok(())
     }
 
-    /// Takes the first out; waits for one. `None` once the queue is closed and empty.
+    /// Takes the first entry; waits for one. `None` once the queue is closed and empty.
     pub(crate) fn pop(&self) -> Option<T> {
-        let mut state = self.state();
+        let mut state = self.state.lock();
         loop {
-            if let Some((_, item)) = state.waiting.pop_front() {
-                return Some(item);
+            if let Some(entry) = state.waiting.pop_front() {
+                return Some(entry);
             }
             if state.closed {
                 return None;
             }
-            state = self
-                .changed
-                .wait(state)
-                .unwrap_or_else(PoisonError::into_inner);
+            self.changed.wait(&mut state);
         }
     }
 
-    /// Takes the first out, if one waits.
+    /// Takes the first entry, if one waits.
     pub(crate) fn try_pop(&self) -> Option<T> {
-        self.state().waiting.pop_front().map(|(_, item)| item)
+        self.state.lock().waiting.pop_front()
     }
 
-    /// Takes the item with this number out, if it still waits.
-    pub(crate) fn remove(&self, number: u64) -> Option<T> {
-        let mut state = self.state();
-        let place = state
-            .waiting
-            .iter()
-            .position(|(other, _)| *other == number)?;
-        state.waiting.remove(place).map(|(_, item)| item)
-    }
-
-    /// Lets nothing more in; what waits may still be taken out.
+    /// Accepts nothing more; what waits may still be taken.
     pub(crate) fn close(&self) {
-        self.state().closed = true;
+        self.state.lock().closed = true;
         self.changed.notify_all();
     }
 
-    /// Drops what waits and lets nothing more in.
+    /// Drops what waits and accepts nothing more.
     pub(crate) fn abandon(&self) {
         self.close();
-        self.state().waiting.clear();
+        let waiting = std::mem::take(&mut self.state.lock().waiting);
+        // Outside the lock: their callers are told.
+        drop(waiting);
     }
 
     pub(crate) fn is_closed(&self) -> bool {
-        self.state().closed
-    }
-
-    fn state(&self) -> MutexGuard<'_, State<T>> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock().closed
     }
 }
 
@@ -122,27 +103,35 @@ impl<T> Queue<T> {
 mod tests {
     use super::*;
 
+    #[derive(Debug, PartialEq)]
+    struct Wanted(char, bool);
+
+    impl Entry for Wanted {
+        fn is_wanted(&self) -> bool {
+            self.1
+        }
+    }
+
     #[test]
-    fn items_leave_in_order_and_a_place_is_free_again() {
+    fn entries_leave_in_order_and_unwanted_ones_give_way() {
         let queue = Queue::new(2);
-        let first = queue.push('a').unwrap();
-        queue.push('b').unwrap();
-        assert_eq!(queue.push('c'), Err(Refused::Full));
-        assert_eq!(queue.remove(first), Some('a'));
-        assert_eq!(queue.remove(first), None);
-        queue.push('c').unwrap();
+        queue.push(Wanted('a', false)).unwrap();
+        queue.push(Wanted('b', true)).unwrap();
+        queue.push(Wanted('c', true)).unwrap();
+        let refused = queue.push(Wanted('d', true)).unwrap_err();
+        assert!(matches!(refused, EngineError::QueueFull { capacity: 2 }));
         queue.close();
-        assert_eq!(queue.push('d'), Err(Refused::Closed));
-        assert_eq!(
-            (queue.pop(), queue.try_pop(), queue.try_pop(), queue.pop()),
-            (Some('b'), Some('c'), None, None)
-        );
+        let refused = queue.push(Wanted('d', true)).unwrap_err();
+        assert!(matches!(refused, EngineError::Stopped));
+        let left = [queue.pop(), queue.try_pop(), queue.try_pop(), queue.pop()];
+        let names = left.map(|entry| entry.map(|entry| entry.0));
+        assert_eq!(names, [Some('b'), Some('c'), None, None]);
     }
 
     #[test]
     fn an_abandoned_queue_is_empty() {
         let queue = Queue::new(2);
-        queue.push(1).unwrap();
+        queue.push(Wanted('a', true)).unwrap();
         queue.abandon();
         assert!(queue.is_closed());
         assert_eq!(queue.pop(), None);

@@ -36,7 +36,8 @@ impl Sampler {
         }
     }
 
-    /// One that draws other numbers of the same seed: those of a stream, which 0 is the first of.
+    /// A sampler that draws other numbers of the same seed: those of a stream, the first of which
+    /// is 0.
     pub(crate) fn stream(&self, number: u64) -> Self {
         let mut other = self.clone();
         other.generator.set_stream(number);
@@ -48,8 +49,8 @@ impl Sampler {
         self.generator.random_range(0..count.max(1))
     }
 
-    /// The next code of those given with their logits. Argmax takes the first maximum; top-k comes before
-    /// temperature.
+    /// Chooses the next code of those given with their logits. Argmax takes the first maximum;
+    /// top-k comes before temperature.
     pub(crate) fn next(&mut self, logits: impl Iterator<Item = (u32, f32)>) -> u32 {
         if self.sampling.temperature == 0.0 {
             return argmax(logits);

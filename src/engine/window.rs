@@ -5,8 +5,8 @@ use crate::model::WindowKind;
 /// What to do at a step so that the model sees the right window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum WindowStep {
-    /// Forget the cache and run the codes from this index to the newest, at positions 0...
-    Prime {
+    /// Clear the cache and run the codes from this index to the newest, at positions 0...
+    Prefill {
         /// Index of the window's first code.
         start: usize,
     },
@@ -49,7 +49,7 @@ impl Window {
 
     /// Whether the window's start moves at `step`.
     pub(crate) fn moves_at(self, step: usize) -> bool {
-        matches!(self.at(step), WindowStep::Prime { .. })
+        matches!(self.at(step), WindowStep::Prefill { .. })
     }
 
     /// What to do at `step`: while the window's start stays, positions do not move and the cache
@@ -58,7 +58,7 @@ impl Window {
         let start = self.start(step);
         match step.checked_sub(1) {
             Some(previous) if self.start(previous) == start => WindowStep::Extend,
-            _ => WindowStep::Prime { start },
+            _ => WindowStep::Prefill { start },
         }
     }
 }
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sliding_always_holds_the_context_and_reprimes() {
+    fn sliding_always_holds_the_context_and_reprefills() {
         let window = Window::new(WindowKind::Sliding, 15, 28);
         for step in 0..27 {
             assert_eq!(window.length(step), step + 1);
@@ -76,17 +76,17 @@ mod tests {
         for step in 27..100 {
             assert_eq!(window.length(step), 28, "step {step}");
         }
-        assert_eq!(window.at(28), WindowStep::Prime { start: 1 });
-        assert_eq!(window.at(60), WindowStep::Prime { start: 33 });
+        assert_eq!(window.at(28), WindowStep::Prefill { start: 1 });
+        assert_eq!(window.at(60), WindowStep::Prefill { start: 33 });
     }
 
     #[test]
     fn hop_shrinks_at_the_steps_the_specification_lists() {
         let window = Window::new(WindowKind::Hop, 15, 28);
-        let primes: Vec<_> = (0..75)
-            .filter(|&step| matches!(window.at(step), WindowStep::Prime { .. }))
+        let prefills: Vec<_> = (0..75)
+            .filter(|&step| matches!(window.at(step), WindowStep::Prefill { .. }))
             .collect();
-        assert_eq!(primes, [0, 28, 29, 43, 57, 71]);
+        assert_eq!(prefills, [0, 28, 29, 43, 57, 71]);
         assert_eq!(window.length(28), 28);
         assert_eq!(
             (window.length(29), window.length(42), window.length(43)),

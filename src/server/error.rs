@@ -11,7 +11,7 @@ use tokio::sync::AcquireError;
 use utoipa::ToSchema;
 
 use super::config::{ByteSize, Seconds};
-use crate::{Error, audio::AudioError, engine::EngineError, features::FeatureError};
+use crate::{audio::AudioError, engine::EngineError, features::FeatureError, formats::FormatError};
 
 /// The body of every answer that is not a success.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
@@ -120,21 +120,17 @@ pub(crate) enum ServerError {
     #[error("the server failed: {0}")]
     Internal(String),
     #[error(transparent)]
-    Dance(Error),
-}
-
-impl From<Error> for ServerError {
-    fn from(error: Error) -> Self {
-        match error {
-            Error::Engine(EngineError::Stopped) => Self::ModelStopped,
-            other => Self::Dance(other),
-        }
-    }
+    Engine(EngineError),
+    #[error(transparent)]
+    Format(#[from] FormatError),
 }
 
 impl From<EngineError> for ServerError {
     fn from(error: EngineError) -> Self {
-        Error::from(error).into()
+        match error {
+            EngineError::Stopped => Self::ModelStopped,
+            other => Self::Engine(other),
+        }
     }
 }
 
@@ -205,7 +201,8 @@ impl ServerError {
             Self::Timeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "timeout"),
             Self::AnswerMemory { .. } => (StatusCode::SERVICE_UNAVAILABLE, "answer_memory"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
-            Self::Dance(error) => classify_dance(error),
+            Self::Format(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
+            Self::Engine(error) => classify_generation(error),
         }
     }
 
@@ -224,31 +221,33 @@ impl ServerError {
             Self::ModelStopped => Some(Seconds::new(30)),
             // The model's own queue is as long as there are permits, so this is next to impossible;
             // its places are given back at the pace of one step of the model.
-            Self::Dance(Error::Engine(EngineError::QueueFull { .. })) => Some(Seconds::new(1)),
             // A thread is free again as soon as another song has been decoded.
-            Self::Dance(Error::Audio(AudioError::NoThread(_))) => Some(Seconds::new(1)),
+            Self::Engine(
+                EngineError::QueueFull { .. }
+                | EngineError::NoThread(_)
+                | EngineError::Audio(AudioError::NoThread(_)),
+            ) => Some(Seconds::new(1)),
             _ => None,
         }
     }
 }
 
-fn classify_dance(error: &Error) -> (StatusCode, &'static str) {
+fn classify_generation(error: &EngineError) -> (StatusCode, &'static str) {
     const INTERNAL: (StatusCode, &str) = (StatusCode::INTERNAL_SERVER_ERROR, "internal");
     match error {
-        Error::Audio(error) => classify_audio(error),
-        Error::Features(FeatureError::TooShort { .. }) => {
+        EngineError::Audio(error) => classify_audio(error),
+        EngineError::Features(FeatureError::TooShort { .. }) => {
             (StatusCode::UNPROCESSABLE_ENTITY, "audio_too_short")
         }
-        Error::Features(FeatureError::NotFinite { .. }) => {
+        EngineError::Features(FeatureError::NotFinite { .. }) => {
             (StatusCode::UNPROCESSABLE_ENTITY, "undecodable_audio")
         }
         // Features come from the upload alone here, so a problem with them is ours.
-        Error::Engine(EngineError::Option { name, .. }) if *name != "features" => {
+        EngineError::Option { name, .. } if *name != "features" => {
             (StatusCode::BAD_REQUEST, "invalid_option")
         }
-        Error::Engine(EngineError::QueueFull { .. }) => {
-            (StatusCode::TOO_MANY_REQUESTS, "queue_full")
-        }
+        EngineError::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full"),
+        EngineError::NoThread(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_thread"),
         _ => INTERNAL,
     }
 }
@@ -366,7 +365,7 @@ mod tests {
 
     #[test]
     fn a_model_that_stops_meanwhile_is_told_as_the_probe_tells_it() {
-        let stopped = ServerError::from(Error::from(EngineError::Stopped)).report();
+        let stopped = ServerError::from(EngineError::Stopped).report();
         let probed = ServerError::ModelStopped.report();
         assert_eq!(
             (stopped.status, stopped.error_type, stopped.retry_after),
@@ -377,13 +376,5 @@ mod tests {
             )
         );
         assert!(stopped.retry_after.is_some());
-    }
-
-    #[test]
-    fn a_lack_of_threads_is_not_blamed_on_the_upload() {
-        let lack = AudioError::NoThread(std::io::ErrorKind::WouldBlock.into());
-        let report = ServerError::from(Error::from(lack)).report();
-        assert_eq!(report.status, StatusCode::SERVICE_UNAVAILABLE);
-        assert!(report.retry_after.is_some());
     }
 }

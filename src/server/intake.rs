@@ -13,8 +13,9 @@ use super::{
     negotiate::{self, Shape},
     options::RequestOptions,
     state::{Generate, SharedState},
+    tracker::{Phase, RequestTracker, Waiting},
     upload,
-    watch::{Phase, Presence, Watch},
+    uploads::UploadPermit,
 };
 use crate::formats::OutputFormat;
 
@@ -35,13 +36,14 @@ pub(crate) struct Order {
     pub(crate) audio: Bytes,
     pub(crate) options: RequestOptions,
     pub(crate) shape: Shape,
-    pub(crate) watch: Arc<Watch>,
-    pub(crate) presence: Presence,
+    /// What the upload holds, until the work begins.
+    pub(crate) upload: Option<UploadPermit>,
+    pub(crate) tracker: Arc<RequestTracker>,
+    pub(crate) waiting: Waiting,
 }
 
-/// Everything that costs nothing is checked first; then a place for the body is taken; only then is it
-/// read (RELIABILITY, defence 2). The place to work in is waited for by the caller: a slow upload keeps
-/// nobody from working.
+/// Checks everything that costs nothing, takes a place for the body, and only then reads it
+/// (RELIABILITY, defence 2). The caller waits for a permit afterwards: a slow upload takes none.
 pub(crate) async fn receive(
     state: &SharedState,
     purpose: Purpose,
@@ -64,8 +66,8 @@ pub(crate) async fn receive(
         Purpose::Dance | Purpose::Stream => state.admission.check_room()?,
     }
 
-    let watch = Watch::new(Arc::clone(&state.metrics));
-    let presence = Presence::of(&watch);
+    let tracker = RequestTracker::new(Arc::clone(&state.metrics));
+    let waiting = Waiting::of(&tracker);
     let received = async {
         let mut place = state.uploads.begin(state.admission.retry_after())?;
         let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
@@ -77,24 +79,24 @@ pub(crate) async fn receive(
         }
         let shape = shape(purpose, &upload.options, &accept)?;
         engine.check(&upload.options.generation(shape.format))?;
-        watch.hold_upload(place);
-        Ok::<_, ServerError>((upload, shape))
+        Ok::<_, ServerError>((upload, shape, place))
     };
-    let (upload, shape) = match received.await {
+    let (upload, shape, place) = match received.await {
         Ok(received) => received,
         Err(error) => {
-            presence.answered();
+            waiting.answered();
             return Err(error);
         }
     };
-    watch.enter(Phase::Queue);
+    tracker.enter(Phase::Queue);
     Ok(Order {
         engine: Arc::clone(engine),
         audio: upload.audio,
         options: upload.options,
         shape,
-        watch,
-        presence,
+        upload: Some(place),
+        tracker,
+        waiting,
     })
 }
 

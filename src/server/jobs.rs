@@ -15,7 +15,7 @@ use super::{
     error::{Report, ServerError},
     metrics::{Counted, SharedMetrics},
     options::RequestOptions,
-    watch::Watch,
+    tracker::RequestTracker,
 };
 use crate::formats::{GeneratedMotion, OutputFormat};
 
@@ -47,9 +47,9 @@ pub(crate) struct Job {
     pub(crate) owner: Client,
     /// Id of the request that asked for it.
     pub(crate) request_id: String,
-    /// How far it is, and how it is stopped.
-    pub(crate) watch: Arc<Watch>,
-    /// Triggered when it is deleted.
+    /// Its phase and progress.
+    pub(crate) tracker: Arc<RequestTracker>,
+    /// Triggered when it is deleted: that stops its work.
     pub(crate) deleted: CancellationToken,
     /// Triggered when its result has been sent.
     pub(crate) fetched: CancellationToken,
@@ -97,14 +97,14 @@ impl Job {
     pub(crate) fn new(
         owner: Client,
         request_id: String,
-        watch: Arc<Watch>,
+        tracker: Arc<RequestTracker>,
         metrics: SharedMetrics,
     ) -> Arc<Self> {
         Arc::new(Self {
             id: Uuid::new_v4(),
             owner,
             request_id,
-            watch,
+            tracker,
             deleted: CancellationToken::new(),
             fetched: CancellationToken::new(),
             state: Mutex::new(Kept {
@@ -227,7 +227,6 @@ impl JobStore for MemoryStore {
 /// Stops what is still done or held for a job that was taken out; whether there was one.
 fn forget(job: Option<Arc<Job>>) -> bool {
     job.is_some_and(|job| {
-        job.watch.cancel.cancel();
         job.deleted.cancel();
         true
     })
@@ -239,8 +238,8 @@ mod tests {
 
     fn job() -> Arc<Job> {
         let metrics = SharedMetrics::default();
-        let watch = Watch::new(Arc::clone(&metrics));
-        Job::new(Client::Unknown, "id".into(), watch, metrics)
+        let tracker = RequestTracker::new(Arc::clone(&metrics));
+        Job::new(Client::Unknown, "id".into(), tracker, metrics)
     }
 
     fn failed() -> JobState {
@@ -286,7 +285,7 @@ mod tests {
         store.put(Arc::clone(&job)).unwrap();
         assert!(store.remove(job.id));
         assert!(!store.remove(job.id));
-        assert!(job.watch.cancel.is_cancelled());
+        assert!(job.deleted.is_cancelled());
     }
 
     #[test]

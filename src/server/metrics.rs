@@ -45,6 +45,7 @@ pub struct Metrics {
     cancel_latency: Histogram,
     rejected: Family<One, Counter>,
     panics: Family<One, Counter>,
+    failed_steps: Counter,
     /// Requests that wait for their turn.
     pub(crate) queue_waiting: Gauge,
     /// Requests that are worked on.
@@ -80,6 +81,7 @@ impl Default for Metrics {
             cancel_latency: short(),
             rejected: Family::default(),
             panics: Family::default(),
+            failed_steps: Counter::default(),
             queue_waiting: Gauge::default(),
             running: Gauge::default(),
             connections: Gauge::default(),
@@ -116,6 +118,7 @@ impl Metrics {
             "cancelled", "Requests whose client left, whose time was over, or whose job was deleted, by phase", cancelled;
             "rejected", "Requests refused, by reason", rejected;
             "panics", "Panics caught, by place", panics;
+            "failed_steps", "Steps of the model that failed for all dances that shared them", failed_steps;
             "connections", "Open connections", connections;
             "uploads", "Bodies on their way", uploads;
             "jobs", "Jobs kept, by state", jobs;
@@ -229,8 +232,8 @@ impl Observer for Metrics {
         self.step_duration.observe(took.as_secs_f64());
     }
 
-    fn panicked(&self) {
-        Self::panicked(self, "model");
+    fn step_failed(&self) {
+        self.failed_steps.inc();
     }
 }
 
@@ -275,6 +278,7 @@ mod tests {
         Metrics::panicked(&metrics, "decode");
         metrics.heard(2.5);
         metrics.stepped(3, Duration::from_millis(1));
+        metrics.step_failed();
         let _job = metrics.job("running");
         let text = metrics.text().unwrap();
         for line in [
@@ -294,6 +298,7 @@ mod tests {
             "bailando_cancel_latency_seconds_count 1",
             "bailando_rejected_total{reason=\"queue_full\"} 1",
             "bailando_panics_total{place=\"decode\"} 1",
+            "bailando_failed_steps_total 1",
             "bailando_connections 0",
             "bailando_uploads 0",
             "bailando_upload_bytes 0",

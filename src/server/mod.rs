@@ -2,7 +2,7 @@
 //!
 //! A request's way: `connection` (heads and peers in time) → `envelope` (id, trace, count, error shape) →
 //! `access` (key, rate) → handler → `intake` (checks that cost nothing, a place for the body, the body) →
-//! `admission` (a permit, or a place in line, or 429) → `work` (the engine, on a blocking thread) → answer.
+//! `admission` (a permit, or a place in line, or 429) → `work` (the engine, then a blocking thread that writes) → answer.
 
 mod access;
 mod admission;
@@ -30,10 +30,10 @@ mod serve;
 mod state;
 mod stop;
 mod telemetry;
+mod tracker;
 mod upload;
 mod uploads;
 mod warnings;
-mod watch;
 mod work;
 
 pub use access::Access;

@@ -14,7 +14,7 @@ use super::{
     state::{Generate, ServerState, SharedState},
     stop::Signals,
 };
-use crate::engine::{Choreographer, EngineConfig};
+use crate::engine::{Engine, EngineConfig, EngineError};
 
 /// How long requests have to answer once they were told to give up.
 const LAST_WORDS: Duration = Duration::from_secs(1);
@@ -51,7 +51,7 @@ pub enum ServeError {
     },
     /// The model directory or ONNX Runtime failed.
     #[error(transparent)]
-    Model(#[from] crate::Error),
+    Model(#[from] EngineError),
     /// A defect of ours while the model was loaded.
     #[error("loading the model failed unexpectedly")]
     Load(#[source] tokio::task::JoinError),
@@ -231,7 +231,7 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
 
 /// Reading and hashing the model takes long enough to keep it off the async threads.
 async fn open(config: EngineConfig) -> Result<Arc<dyn Generate>, ServeError> {
-    let engine = tokio::task::spawn_blocking(move || Choreographer::open(&config))
+    let engine = tokio::task::spawn_blocking(move || Engine::open(&config))
         .await
         .map_err(ServeError::Load)??;
     Ok(Arc::new(engine))

@@ -6,7 +6,6 @@ use std::{
     time::Duration,
 };
 
-use bytes::Bytes;
 use tokio::sync::Semaphore;
 
 use super::{
@@ -22,9 +21,7 @@ use super::{
     uploads::Uploads,
 };
 use crate::{
-    CancelToken, Result,
-    engine::{Choreographer, Ending, EngineError, GenerationOptions, Listener, Progress},
-    formats::GeneratedMotion,
+    engine::{Engine, EngineError, Generation, GenerationOptions, GenerationRequest, Pending},
     model::Manifest,
     motion::Positions,
 };
@@ -49,38 +46,15 @@ pub trait Generate: Send + Sync + 'static {
     /// [`EngineError::Option`] names the first option that does not fit.
     fn check(&self, options: &GenerationOptions) -> Result<(), EngineError>;
 
-    /// Generates one dance. Blocks.
-    ///
-    /// # Errors
-    /// Any [`crate::Error`]; soon after `cancel` is triggered, [`EngineError::Cancelled`].
-    fn generate(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-        progress: Arc<dyn Progress>,
-    ) -> Result<GeneratedMotion>;
+    /// Submits a generation. Dropping the returned future cancels it.
+    fn submit(&self, request: GenerationRequest) -> Generation;
 
-    /// Generates one dance and gives its motion to `listener` as it comes. Blocks.
-    ///
-    /// # Errors
-    /// As [`Generate::generate`].
-    fn stream(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-        listener: Arc<dyn Listener>,
-    ) -> Result<Ending>;
-
-    /// What a pair of pose codes looks like, `[frames, joints, 3]` in metres. Blocks.
-    ///
-    /// # Errors
+    /// Shows what a pair of pose codes looks like, `[frames, joints, 3]` in metres. The result is
     /// [`EngineError::Option`] for a code that is not in the vocabulary.
-    fn pose(&self, upper: u32, lower: u32) -> Result<Positions>;
+    fn pose(&self, codes: [u32; 2]) -> Pending<Positions>;
 }
 
-impl Generate for Choreographer {
+impl Generate for Engine {
     fn manifest(&self) -> &Manifest {
         self.manifest()
     }
@@ -97,28 +71,12 @@ impl Generate for Choreographer {
         self.check(options)
     }
 
-    fn generate(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-        progress: Arc<dyn Progress>,
-    ) -> Result<GeneratedMotion> {
-        self.generate_with_progress(audio, options, cancel, progress)
+    fn submit(&self, request: GenerationRequest) -> Generation {
+        self.submit(request)
     }
 
-    fn stream(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-        listener: Arc<dyn Listener>,
-    ) -> Result<Ending> {
-        self.stream(audio, options, cancel, listener)
-    }
-
-    fn pose(&self, upper: u32, lower: u32) -> Result<Positions> {
-        self.pose(upper, lower)
+    fn pose(&self, codes: [u32; 2]) -> Pending<Positions> {
+        self.pose(codes)
     }
 }
 
@@ -197,7 +155,7 @@ impl ServerState {
     }
 
     /// # Errors
-    /// [`ServerError::Loading`], and [`ServerError::ModelStopped`] where no dance can come about any more.
+    /// [`ServerError::Loading`], and [`ServerError::ModelStopped`] once the model has stopped.
     pub(crate) fn engine(&self) -> Result<&Arc<dyn Generate>, ServerError> {
         let engine = &self.loaded()?.engine;
         match engine.is_alive() {
@@ -219,10 +177,10 @@ impl ServerState {
         }
     }
 
-    /// Room for an answer, which is not waited for long: whoever waits keeps a place to work in.
+    /// Reserves memory for an answer. The wait is short, as a request that waits keeps its permit.
     pub(crate) async fn room(&self, bytes: usize) -> Result<Share, ServerError> {
         let share = self.answers.share(bytes as u64);
-        // Within the time that there is: who waits for longer is not told why.
+        // Within the request's time, so that the client is told why.
         let most = WAIT_FOR_ROOM.min(self.limits.request_timeout.0 / 2);
         let in_time = tokio::time::timeout(most, share).await;
         in_time.unwrap_or_else(|_| {

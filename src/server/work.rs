@@ -1,8 +1,7 @@
-//! The blocking part of a request, off the async threads.
+//! The work on a request: the engine's, and blocking parts off the async threads.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
-use bytes::Bytes;
 use tracing::Span;
 
 use super::{
@@ -13,40 +12,34 @@ use super::{
     intake::Order,
     metrics::SharedMetrics,
     options::RequestOptions,
-    state::{Generate, SharedState},
-    watch::{Phase, Watch},
+    state::SharedState,
+    tracker::{Held, Phase, RequestTracker, Work},
 };
 use crate::{
-    Error,
     audio::AudioError,
-    engine::{Ending, GenerationOptions, Listener},
+    engine::{EngineError, Generation, GenerationOutput, GenerationRequest},
     formats::{GeneratedMotion, OutputFormat},
 };
 
-/// What the engine is asked for.
-pub(crate) struct Work {
-    engine: Arc<dyn Generate>,
-    audio: Bytes,
-    options: GenerationOptions,
-    watch: Arc<Watch>,
-}
-
 impl Order {
-    /// What the engine is asked for; the audio goes with it.
-    pub(crate) fn work(&mut self) -> Work {
-        Work {
-            engine: Arc::clone(&self.engine),
-            audio: std::mem::take(&mut self.audio),
-            options: self.options.generation(self.shape.format),
-            watch: Arc::clone(&self.watch),
-        }
-    }
-
-    /// Waits for room for the song's seconds; how long it is, is known once it is decoded.
-    pub(crate) async fn hold_audio(&self, state: &SharedState) -> Result<(), ServerError> {
-        let share = state.audio.share(self.most_seconds(&state.limits));
-        self.watch.hold_audio(share.await?);
-        Ok(())
+    /// Waits for a share of the audio seconds, and begins the work; the song goes with the request
+    /// to the engine. How long it really is, is known once it is decoded.
+    pub(crate) async fn begin(
+        &mut self,
+        state: &SharedState,
+        permit: Permit,
+    ) -> Result<(GenerationRequest, Arc<Work>), ServerError> {
+        let audio = state.audio.share(self.most_seconds(&state.limits)).await?;
+        let held = Held {
+            upload: self.upload.take(),
+            audio: Some(audio),
+            permit: Some(permit),
+        };
+        let work = Work::begin(&self.tracker, held);
+        let audio = std::mem::take(&mut self.audio);
+        let options = self.options.generation(self.shape.format);
+        let request = GenerationRequest::audio(audio, options);
+        Ok((request.with_progress(Arc::clone(&work) as _), work))
     }
 
     /// The most whole seconds that the dance can take.
@@ -57,124 +50,92 @@ impl Order {
     }
 }
 
-/// A dance, and the right to work that it came about by.
-pub(crate) struct Danced {
-    pub(crate) dance: GeneratedMotion,
-    pub(crate) permit: Permit,
-}
-
-/// Generates a whole dance of `kind`.
+/// Generates a whole dance of `kind`. The permit stays with the work.
 pub(crate) async fn dance(
-    metrics: &SharedMetrics,
-    work: Work,
+    state: &SharedState,
+    order: &mut Order,
     permit: Permit,
     kind: &'static str,
-) -> Result<Danced, ServerError> {
-    let Work {
-        engine,
-        audio,
-        options,
-        watch,
-    } = work;
-    let measured = Arc::clone(metrics);
-    run(metrics, &watch, move |watch| {
-        let mut dance = engine.generate(audio, &options, &watch.cancel, Arc::clone(watch) as _)?;
-        dance.timings.queue += permit.waited;
-        measured.danced(kind, dance.codes.upper.len(), &dance.timings);
-        Ok(Danced { dance, permit })
-    })
-    .await
+) -> Result<(GeneratedMotion, Arc<Work>), ServerError> {
+    let waited = permit.waited;
+    let (request, work) = order.begin(state, permit).await?;
+    let generation = order.engine.submit(request);
+    let metrics = &state.metrics;
+    let output = finished(metrics, generation, &order.tracker, waited, kind).await;
+    match output {
+        Ok(output) => {
+            work.free_audio();
+            Ok((output.into_motion(order.engine.manifest()), work))
+        }
+        Err(error) => {
+            drop(work.end());
+            Err(error)
+        }
+    }
 }
 
-/// Generates a dance that `listener` hears; the right to work is given back at its end.
-pub(crate) async fn stream(
+/// Waits for a generation of `kind`, which waited for a permit before, and counts it.
+pub(crate) async fn finished(
     metrics: &SharedMetrics,
-    work: Work,
-    permit: Permit,
-    listener: Arc<dyn Listener>,
-) -> Result<Ending, ServerError> {
-    let Work {
-        engine,
-        audio,
-        options,
-        watch,
-    } = work;
-    let measured = Arc::clone(metrics);
-    run(metrics, &watch, move |watch| {
-        let mut ending = engine.stream(audio, &options, &watch.cancel, listener)?;
-        ending.timings.queue += permit.waited;
-        measured.danced("stream", ending.codes.upper.len(), &ending.timings);
-        permit.danced();
-        Ok(ending)
-    })
-    .await
+    generation: Generation,
+    tracker: &RequestTracker,
+    waited: Duration,
+    kind: &'static str,
+) -> Result<GenerationOutput, ServerError> {
+    match generation.await {
+        Ok(mut output) => {
+            output.timings.queue += waited;
+            metrics.danced(kind, output.codes.upper.len(), &output.timings);
+            Ok(output)
+        }
+        Err(error) => {
+            match &error {
+                EngineError::Panicked { .. } => metrics.panicked(tracker.phase().name()),
+                EngineError::Audio(AudioError::DecoderPanic { .. }) => metrics.panicked("decode"),
+                _ => {}
+            }
+            Err(error.into())
+        }
+    }
 }
 
-/// Writes a dance as asked for.
+/// Writes a dance as asked for. `work` is held until that has ended.
 pub(crate) async fn write(
     metrics: &SharedMetrics,
-    watch: &Arc<Watch>,
+    work: Option<&Arc<Work>>,
     dance: Arc<GeneratedMotion>,
     options: RequestOptions,
     format: OutputFormat,
 ) -> Result<Vec<u8>, ServerError> {
     let measured = Arc::clone(metrics);
-    run(metrics, watch, move |watch| {
-        watch.enter(Phase::Write);
+    let work = work.cloned();
+    let write = move || {
+        if let Some(work) = &work {
+            work.tracker().enter(Phase::Write);
+        }
         let started = std::time::Instant::now();
         let span = tracing::info_span!("stage", otel.name = "write");
         let body = span.in_scope(|| options.write(&dance, format))?;
         measured.stage("write", started.elapsed());
         Ok(body)
-    })
-    .await
-}
-
-/// Runs with `watch` on a blocking thread. What it holds stays held until it has really ended, whether or not
-/// somebody still waits.
-async fn run<T: Send + 'static>(
-    metrics: &SharedMetrics,
-    watch: &Arc<Watch>,
-    work: impl FnOnce(&Arc<Watch>) -> Result<T, ServerError> + Send + 'static,
-) -> Result<T, ServerError> {
-    let inner = Arc::clone(watch);
-    let work = move || {
-        // Also when the work panics.
-        let _end = EndOnDrop(&inner);
-        if !inner.begin() {
-            return Err(crate::engine::EngineError::Cancelled.into());
-        }
-        work(&inner)
     };
-    let result = blocking(metrics, || watch.phase().name(), work).await;
-    if let Err(ServerError::Dance(Error::Audio(AudioError::DecoderPanic { .. }))) = &result {
-        metrics.panicked("decode");
-    }
-    result
+    blocking(metrics, Phase::Write.name(), write).await
 }
 
-/// Runs on a blocking thread, in this request's span. A panic is counted as one of `place`, and costs this
-/// request alone.
+/// Runs on a blocking thread, in this request's span. A panic is counted as one of `place`, and
+/// costs this request alone.
 pub(crate) async fn blocking<T: Send + 'static>(
     metrics: &SharedMetrics,
-    place: impl FnOnce() -> &'static str,
+    place: &'static str,
     work: impl FnOnce() -> Result<T, ServerError> + Send + 'static,
 ) -> Result<T, ServerError> {
     let span = Span::current();
     let ended = tokio::task::spawn_blocking(move || span.in_scope(work)).await;
     ended.unwrap_or_else(|failed| {
-        metrics.panicked(place());
+        metrics.panicked(place);
         Err(ServerError::Internal(match failed.try_into_panic() {
             Ok(panic) => format!("panic: {}", panic_text(panic.as_ref())),
             Err(failed) => failed.to_string(),
         }))
     })
-}
-
-struct EndOnDrop<'a>(&'a Watch);
-
-impl Drop for EndOnDrop<'_> {
-    fn drop(&mut self) {
-        self.0.end();
-    }
 }

@@ -3,22 +3,27 @@
 use std::{path::Path, sync::OnceLock};
 
 use bailando::{
-    audio::AudioLimits,
-    engine::{Choreographer, DEFAULT_BATCH, EngineConfig},
+    engine::{Engine, EngineConfig, GenerationOptions, GenerationRequest},
+    formats::GeneratedMotion,
 };
 
 /// The default model, loaded once.
-pub(crate) fn choreographer() -> &'static Choreographer {
-    static MODEL: OnceLock<Choreographer> = OnceLock::new();
+pub(crate) fn engine() -> &'static Engine {
+    static MODEL: OnceLock<Engine> = OnceLock::new();
     MODEL.get_or_init(|| {
-        Choreographer::open(&EngineConfig {
-            model_dir: Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default"),
+        let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default");
+        Engine::open(&EngineConfig {
             threads: 2,
-            batch: DEFAULT_BATCH.get(),
             queue: 8,
-            audio: AudioLimits::default(),
-            observer: std::sync::Arc::new(()),
+            ..EngineConfig::new(model)
         })
         .unwrap()
     })
+}
+
+/// A dance of the default model.
+pub(crate) fn dance_to(audio: Vec<u8>, options: &GenerationOptions) -> GeneratedMotion {
+    let request = GenerationRequest::audio(audio, options.clone());
+    let output = engine().generate(request).unwrap();
+    output.into_motion(engine().manifest())
 }

@@ -2,32 +2,32 @@
 
 use std::{
     collections::BTreeMap,
-    panic::panic_any,
+    panic::{AssertUnwindSafe, catch_unwind, panic_any},
     sync::{
-        Arc, Condvar, Mutex,
+        Arc, Condvar, Mutex, Weak,
         atomic::{AtomicBool, AtomicUsize, Ordering},
     },
     time::Duration,
 };
 
 use bailando::{
-    CancelToken, Result,
     engine::{
-        DEFAULT_BATCH, Ending, EngineError, GenerationOptions, Listener, Opening, Progress, Stage,
+        DEFAULT_BATCH, EngineError, Generation, GenerationOptions, GenerationOutput,
+        GenerationRequest, MotionOutput, MusicSource, Opening, Pending, Stage,
     },
     features::Profile,
-    formats::{Codes, Continuation, GeneratedMotion, MusicInfo, PositionsSource, Timings},
+    formats::{Codes, Continuation, MusicInfo, PositionsSource, Timings},
     model::{
         DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
         SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
     },
-    motion::{Animation, FinishOptions, Finisher, MotionFrame, Positions, Skeleton},
+    motion::{Animation, FinishOptions, Finished, Finisher, MotionFrame, Positions, Skeleton},
     server::Generate,
 };
 use bytes::Bytes;
 use glam::{Quat, Vec3};
 use ndarray::{Array2, Array3};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, oneshot};
 
 use crate::client::LONG;
 
@@ -39,8 +39,10 @@ pub(crate) const PANIC: &[u8] = b"panic";
 /// Audio that makes the fake panic after the first frames of a stream.
 pub(crate) const LATE_PANIC: &[u8] = b"late panic";
 
-/// Dances 0.1 s to anything.
+/// Generates 0.1 s of motion to anything.
 pub(crate) struct Fake {
+    /// Itself, for its threads.
+    this: Weak<Self>,
     manifest: Manifest,
     open: Mutex<bool>,
     opened: Condvar,
@@ -56,7 +58,8 @@ pub(crate) struct Fake {
 
 impl Fake {
     pub(crate) fn new() -> Arc<Self> {
-        Arc::new(Self {
+        Arc::new_cyclic(|this| Self {
+            this: Weak::clone(this),
             manifest: manifest(),
             open: Mutex::new(false),
             opened: Condvar::new(),
@@ -69,7 +72,7 @@ impl Fake {
         })
     }
 
-    /// Lets all that wait go on, now and later.
+    /// Lets all that wait continue, now and later.
     pub(crate) fn release(&self) {
         *self.open.lock().unwrap() = true;
         self.opened.notify_all();
@@ -85,10 +88,10 @@ impl Fake {
         take(&self.ended, count).await;
     }
 
-    fn block(&self, cancel: &CancelToken) -> Result<(), EngineError> {
+    fn block(&self, is_cancelled: impl Fn() -> bool) -> Result<(), EngineError> {
         let mut open = self.open.lock().unwrap();
         while !*open {
-            if cancel.is_cancelled() {
+            if is_cancelled() {
                 self.saw_cancel.store(true, Ordering::SeqCst);
                 return Err(EngineError::Cancelled);
             }
@@ -99,6 +102,46 @@ impl Fake {
                 .0;
         }
         Ok(())
+    }
+
+    fn generate(
+        &self,
+        request: &GenerationRequest,
+        is_cancelled: impl Fn() -> bool,
+    ) -> Result<GenerationOutput, EngineError> {
+        let _end = CountEnd(&self.ended);
+        let MusicSource::Audio(audio) = &request.music else {
+            panic_any("the server asks for dances to audio");
+        };
+        self.generations.fetch_add(1, Ordering::SeqCst);
+        let progress = &request.progress;
+        progress.stage(Stage::Decoding);
+        let mut output = output(&request.options);
+        match &request.stream {
+            None => self.started.add_permits(1),
+            Some(_) if audio.starts_with(PANIC) => panic_any("a panic that the test wants"),
+            Some(stream) => {
+                progress.decoded(0.1);
+                stream.opened(opening(&request.options)?);
+                progress.stage(Stage::Generating);
+                stream.frames(frames());
+                output.motion = MotionOutput::Streamed;
+                self.started.add_permits(1);
+            }
+        }
+        if audio.starts_with(BLOCK) {
+            self.block(is_cancelled)?;
+        }
+        if audio.starts_with(PANIC) || audio.starts_with(LATE_PANIC) {
+            panic_any("a panic that the test wants");
+        }
+        if request.stream.is_none() {
+            progress.decoded(0.1);
+            progress.stage(Stage::Generating);
+            progress.codes(1, 1);
+        }
+        self.heard.lock().unwrap().push(audio.clone());
+        Ok(output)
     }
 }
 
@@ -132,98 +175,32 @@ impl Generate for Fake {
         options.check(&self.manifest, DEFAULT_BATCH.get())
     }
 
-    fn generate(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-        progress: Arc<dyn Progress>,
-    ) -> Result<GeneratedMotion> {
-        let _end = CountEnd(&self.ended);
-        self.generations.fetch_add(1, Ordering::SeqCst);
-        progress.stage(Stage::Decoding);
-        self.started.add_permits(1);
-        if audio.starts_with(BLOCK) {
-            self.block(cancel)?;
-        }
-        if audio.starts_with(PANIC) {
-            panic_any("a panic that the test wants");
-        }
-        progress.decoded(0.1);
-        progress.stage(Stage::Generating);
-        progress.codes(1, 1);
-        self.heard.lock().unwrap().push(audio);
-        Ok(dance(options))
-    }
-
-    /// One code's frames, and after them whatever the audio says.
-    fn stream(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-        listener: Arc<dyn Listener>,
-    ) -> Result<Ending> {
-        let _end = CountEnd(&self.ended);
-        self.generations.fetch_add(1, Ordering::SeqCst);
-        listener.stage(Stage::Decoding);
-        if audio.starts_with(PANIC) {
-            panic_any("a panic that the test wants");
-        }
-        listener.decoded(0.1);
-        let dance = dance(options);
-        let finish = FinishOptions {
-            fps: options.fps,
-            ..FinishOptions::default()
-        };
-        listener.opened(Opening {
-            model: dance.model,
-            seed: dance.seed,
-            skeleton: dance.skeleton.clone(),
-            fps: options.fps,
-            frames: 8 * options.fps as usize / 60,
-            positions_source: dance.positions_source,
-            music: dance.music,
-            timings: dance.timings,
-            warnings: dance.warnings,
-            finisher: Finisher::new(&dance.skeleton, &finish)?,
+    /// Works on a thread of its own, as the engine does.
+    fn submit(&self, request: GenerationRequest) -> Generation {
+        let (sender, receiver) = oneshot::channel();
+        let fake = self.this.upgrade().unwrap();
+        std::thread::spawn(move || {
+            let work = || fake.generate(&request, || sender.is_closed());
+            let result = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {
+                let message = "a panic that the test wants".to_owned();
+                Err(EngineError::Panicked { message })
+            });
+            // What the work holds is given back first.
+            drop((request, fake));
+            let _ = sender.send(result);
         });
-        listener.stage(Stage::Generating);
-        let joints = dance.skeleton.joints.len();
-        listener.frames(Array2::from_shape_fn((8, 3 * joints), |(_, column)| {
-            if column % 3 == 1 {
-                0.1 * column as f32
-            } else {
-                0.0
-            }
-        }));
-        self.started.add_permits(1);
-        if audio.starts_with(BLOCK) {
-            self.block(cancel)?;
-        }
-        if audio.starts_with(LATE_PANIC) {
-            panic_any("a panic that the test wants");
-        }
-        self.heard.lock().unwrap().push(audio);
-        Ok(Ending {
-            tail: Some(Continuation::new(
-                self.model_sha256(),
-                dance.codes.clone(),
-                [0.0; 2],
-                0.0,
-            )),
-            codes: dance.codes,
-            timings: dance.timings,
-        })
+        Generation::from(receiver)
     }
 
-    fn pose(&self, upper: u32, lower: u32) -> Result<Positions> {
-        self.check(&GenerationOptions {
-            start_upper: Some(upper),
-            start_lower: Some(lower),
+    fn pose(&self, codes: [u32; 2]) -> Pending<Positions> {
+        let (sender, receiver) = oneshot::channel();
+        let checked = self.check(&GenerationOptions {
+            start_upper: Some(codes[0]),
+            start_lower: Some(codes[1]),
             ..GenerationOptions::default()
-        })?;
-        Ok(dance(&GenerationOptions::default()).positions)
+        });
+        let _ = sender.send(checked.map(|()| positions()));
+        Pending::from(receiver)
     }
 }
 
@@ -289,30 +266,65 @@ fn manifest() -> Manifest {
     }
 }
 
-fn dance(options: &GenerationOptions) -> GeneratedMotion {
-    const FRAMES: usize = 2;
-    let skeleton = skeleton();
-    let joints = skeleton.joints.len();
-    let seed = options.seed.unwrap_or(7);
-    let positions = Array3::from_shape_fn((FRAMES, joints, 3), |(frame, joint, axis)| match axis {
+const FRAMES: usize = 2;
+
+fn positions() -> Positions {
+    let joints = skeleton().joints.len();
+    Array3::from_shape_fn((FRAMES, joints, 3), |(frame, joint, axis)| match axis {
         1 => 1.0 + 0.25 * joint as f32,
         _ => 0.125 * frame as f32,
-    });
-    GeneratedMotion {
+    })
+}
+
+/// One code's frames of decoded motion.
+fn frames() -> Array2<f32> {
+    let columns = 3 * skeleton().joints.len();
+    Array2::from_shape_fn((8, columns), |(_, column)| match column % 3 {
+        1 => 0.1 * column as f32,
+        _ => 0.0,
+    })
+}
+
+fn opening(options: &GenerationOptions) -> Result<Opening, EngineError> {
+    let output = output(options);
+    let finish = FinishOptions {
+        fps: options.fps,
+        ..FinishOptions::default()
+    };
+    Ok(Opening {
         model: "fake".into(),
-        seed,
-        animation: Animation {
-            fps: options.fps,
-            root: vec![Vec3::Y; FRAMES],
-            rotations: vec![vec![Quat::IDENTITY; joints]; FRAMES],
-        },
-        skeleton,
-        positions,
+        seed: output.seed,
+        skeleton: skeleton(),
+        fps: options.fps,
+        frames: 8 * options.fps as usize / 60,
         positions_source: PositionsSource::Decoder,
-        codes: Codes {
-            upper: vec![u32::try_from(seed % 512).unwrap()],
-            lower: vec![3],
-        },
+        music: output.music,
+        timings: output.timings,
+        warnings: output.warnings,
+        finisher: Finisher::new(&skeleton(), &finish)?,
+    })
+}
+
+fn output(options: &GenerationOptions) -> GenerationOutput {
+    let joints = skeleton().joints.len();
+    let seed = options.seed.unwrap_or(7);
+    let codes = Codes {
+        upper: vec![u32::try_from(seed % 512).unwrap()],
+        lower: vec![3],
+    };
+    GenerationOutput {
+        seed,
+        motion: MotionOutput::Finished(Finished {
+            animation: Animation {
+                fps: options.fps,
+                root: vec![Vec3::Y; FRAMES],
+                rotations: vec![vec![Quat::IDENTITY; joints]; FRAMES],
+            },
+            positions: positions(),
+            source: PositionsSource::Decoder,
+        }),
+        tail: Some(Continuation::new("0123", codes.clone(), [0.0; 2], 0.0)),
+        codes,
         music: options.music.then(|| MusicInfo {
             tempo_bpm: 120.0,
             beats_s: vec![0.0, 0.5],
@@ -325,14 +337,5 @@ fn dance(options: &GenerationOptions) -> GeneratedMotion {
             motion: Duration::from_micros(500),
         },
         warnings: vec!["a warning".into()],
-        continuation: Some(Continuation::new(
-            "0123",
-            Codes {
-                upper: vec![1],
-                lower: vec![2],
-            },
-            [0.0; 2],
-            0.0,
-        )),
     }
 }

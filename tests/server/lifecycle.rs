@@ -208,8 +208,7 @@ async fn while_the_model_is_loaded_the_server_lives_and_is_not_ready() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_model_that_cannot_be_loaded_ends_the_server() {
-    let problem = bailando::Error::from(EngineError::Stopped);
-    let load = async { Err(ServeError::from(problem)) };
+    let load = async { Err(ServeError::from(EngineError::Stopped)) };
     let server = Server::loading(load, Limits::default()).await;
     let ended = server.task.await.unwrap();
     assert!(matches!(ended, Err(ServeError::Model(_))));

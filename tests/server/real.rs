@@ -10,14 +10,14 @@ use std::{
 
 use axum::{Router, http::StatusCode};
 use bailando::{
-    CancelToken,
-    engine::{Choreographer, Ending, EngineError, GenerationOptions, Listener, Progress, Stage},
-    formats::GeneratedMotion,
+    engine::{
+        Engine, EngineError, Generation, GenerationOptions, GenerationRequest, Pending, Progress,
+        Stage,
+    },
     model::Manifest,
     motion::Positions,
     server::{Access, Generate, Limits, ServerConfig, router},
 };
-use bytes::Bytes;
 use serde_json::Value;
 
 use bailando_testkit::wav::{SilentFlac, wav, wav_declaring, wav16};
@@ -28,13 +28,13 @@ use crate::{
 };
 
 /// One model for all tests: it takes a while to load.
-static MODEL: LazyLock<Choreographer> = LazyLock::new(|| {
+static MODEL: LazyLock<Engine> = LazyLock::new(|| {
     let config = ServerConfig {
         model_dir: std::env::var_os("BAILANDO_MODEL_DIR")
             .map_or_else(|| project("models/default"), PathBuf::from),
         ..ServerConfig::default()
     };
-    Choreographer::open(&config.engine(Arc::new(()))).unwrap()
+    Engine::open(&config.engine(Arc::new(()))).unwrap()
 });
 
 fn project(path: &str) -> PathBuf {
@@ -190,9 +190,9 @@ async fn info_is_that_of_the_model() {
 }
 
 /// The engine with a fault in it, where the seed says so.
-struct Faulty(Choreographer);
+struct Faulty(Engine);
 
-/// Panics where it hears of this.
+/// Panics at a stage.
 struct Trap {
     stage: Stage,
     inner: Arc<dyn Progress>,
@@ -212,7 +212,7 @@ impl Progress for Trap {
 
     fn codes(&self, done: usize, total: usize) {
         self.inner.codes(done, total);
-        // On the model's own thread, in the midst of its work.
+        // On the scheduler's own thread, in the midst of its work.
         if self.stage == Stage::Generating && done * 2 > total {
             panic_any("a panic that the test wants");
         }
@@ -236,40 +236,25 @@ impl Generate for Faulty {
         self.0.check(options)
     }
 
-    fn generate(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-        inner: Arc<dyn Progress>,
-    ) -> bailando::Result<GeneratedMotion> {
-        let stage = match options.seed {
+    fn submit(&self, request: GenerationRequest) -> Generation {
+        let stage = match request.options.seed {
             Some(101) => Stage::Decoding,
             Some(102) => Stage::Features,
             Some(103) => Stage::Generating,
             Some(104) => Stage::Motion,
-            _ => return self.0.generate_with_progress(audio, options, cancel, inner),
+            _ => return self.0.submit(request),
         };
+        let inner = Arc::clone(&request.progress);
         let trap = Arc::new(Trap { stage, inner });
-        self.0.generate_with_progress(audio, options, cancel, trap)
+        self.0.submit(request.with_progress(trap))
     }
 
-    fn stream(
-        &self,
-        audio: Bytes,
-        options: &GenerationOptions,
-        cancel: &CancelToken,
-        listener: Arc<dyn Listener>,
-    ) -> bailando::Result<Ending> {
-        self.0.stream(audio, options, cancel, listener)
-    }
-
-    fn pose(&self, upper: u32, lower: u32) -> bailando::Result<Positions> {
-        self.0.pose(upper, lower)
+    fn pose(&self, codes: [u32; 2]) -> Pending<Positions> {
+        self.0.pose(codes)
     }
 }
 
-/// RELIABILITY, row 9: a panic in decoder, features, the model's thread or that of frames costs its own request only, though
+/// RELIABILITY, row 9: a panic on any of the engine's threads costs its own request only, though
 /// others share the model's steps with it.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_panic_in_any_stage_costs_its_own_request_only() {
@@ -292,7 +277,7 @@ async fn a_panic_in_any_stage_costs_its_own_request_only() {
         assert_eq!(codes(&ask(1).await.unwrap()), undisturbed, "after {faulty}");
     }
     let metrics = String::from_utf8(get(&app, "/metrics").await.body).unwrap();
-    for place in ["decode", "features"] {
+    for place in ["decode", "features", "inference", "motion"] {
         let counted = format!("bailando_panics_total{{place=\"{place}\"}} 1");
         assert!(metrics.contains(&counted), "{metrics}");
     }
@@ -307,7 +292,7 @@ async fn the_same_song_and_seed_are_the_same_dance_always() {
         model_dir: project("models/default"),
         ..ServerConfig::default()
     };
-    let single = Choreographer::open(&single.engine(Arc::new(()))).unwrap();
+    let single = Engine::open(&single.engine(Arc::new(()))).unwrap();
     let single = router(Arc::new(single), Limits::default(), Access::default());
     let ask = |app: &Router, seed: u64| {
         let app = app.clone();

@@ -152,6 +152,23 @@ async fn a_stream_that_takes_too_long_ends_with_an_error() {
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
 }
 
+/// The work stops when the time is over, not when its reader comes to the end.
+#[tokio::test]
+async fn a_stream_that_takes_too_long_stops_though_nobody_reads_it() {
+    let fake = Fake::new();
+    let limits = Limits {
+        request_timeout: Seconds(Duration::from_millis(500)),
+        ..small_limits()
+    };
+    let app = app(&fake, &limits);
+    let body = begin(&app).await;
+    fake.wait_ended(1).await;
+    assert!(fake.saw_cancel.load(Ordering::SeqCst));
+    let rest = body.collect().await.unwrap().to_bytes();
+    let rest = String::from_utf8(rest.to_vec()).unwrap();
+    assert!(rest.contains("\"error_type\":\"timeout\""), "{rest}");
+}
+
 async fn begin(app: &Router) -> Body {
     let request = stream("", BLOCK);
     let response = app.clone().oneshot(request).await.unwrap();

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use bailando::{
-    CancelToken,
     model::{ModelDirectory, ModelError},
     motion::{MotionError, MotionFrame, integrate_root, to_dancer_frame},
 };
@@ -79,24 +78,22 @@ fn encode_portion<S: SplitKind>(
     let directory = ModelDirectory::open(&options.model)?;
     let frame = directory.manifest().motion_frame;
     let (mut encoder, mut decoder) = (directory.encoder(1)?, directory.decoder(1)?);
-    let cancel = CancelToken::new();
     std::fs::create_dir_all(&options.out)
         .map_err(|error| EncodeError::write(&options.out, error))?;
     for dance in portion.recordings() {
         let motion = dance.motion(portion.skeleton())?;
-        let (upper, lower) = encoder.encode(columns(&motion, frame)?.view(), &cancel)?;
+        let pairs = encoder.encode(columns(&motion, frame)?.view())?;
         let id = dance
             .songs()
             .first()
             .map_or("recording", |song| song.id.as_str());
-        let codes = [&upper, &lower];
-        let codes = Array2::from_shape_fn((2, upper.len()), |(half, place)| {
-            i64::from(codes[half][place])
+        let codes = Array2::from_shape_fn((2, pairs.len()), |(half, place)| {
+            i64::from(pairs[place][half])
         });
         let path = options.out.join(format!("{id}.codes.npy"));
         ndarray_npy::write_npy(&path, &codes).map_err(|error| EncodeError::write(&path, error))?;
         if options.reconstruct {
-            let decoded = frame.into_world(decoder.decode(&upper, &lower, &cancel)?)?;
+            let decoded = frame.into_world(decoder.decode(&pairs)?)?;
             let start = std::array::from_fn(|axis| motion.positions()[[0, 0, axis]]);
             let positions = integrate_root(decoded.view(), start)?;
             let path = options.out.join(format!("{id}.npy"));

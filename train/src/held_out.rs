@@ -2,10 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use bailando::{
-    CancelToken,
-    model::{Gpt, Logits, ModelDirectory, ModelError, Steps},
-};
+use bailando::model::{Gpt, Logits, ModelDirectory, ModelError, Steps, code_pairs};
 use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use crate::{
@@ -58,17 +55,17 @@ pub(crate) fn pairs<S: SplitKind>(
     let mut library =
         MusicLibrary::new(cache, features.profile).with_count_periods(&features.count_periods);
     let mut encoder = directory.encoder(1)?;
-    let cancel = CancelToken::new();
     let mut pairs = Vec::new();
     for (place, dance) in portion.recordings().iter().enumerate() {
         let motion = dance.motion(portion.skeleton())?;
         let columns = columns(&motion, manifest.motion_frame)?;
-        let (upper, lower) = encoder.encode(columns.view(), &cancel)?;
+        let codes = encoder.encode(columns.view())?;
+        let half = |half: usize| codes.iter().map(|pair| pair[half]).collect::<Vec<_>>();
         for song in dance.songs() {
             let Some(music) = &song.music else { continue };
             pairs.push(Pair {
                 dance: place,
-                codes: [upper.clone(), lower.clone()],
+                codes: [half(0), half(1)],
                 rows: library.conditioning(music, 0)?,
                 bpm: bpm(song),
             });
@@ -113,7 +110,7 @@ impl Predictor {
         pair: &'pair Pair,
         rows: ArrayView2<'_, f32>,
     ) -> Result<Vec<Prediction<'pair>>, ModelError> {
-        let (block, cancel) = (self.block, CancelToken::new());
+        let block = self.block;
         let [upper, lower] = &pair.codes;
         // A window's last code is only predicted, and needs no row.
         let codes = upper
@@ -124,12 +121,10 @@ impl Predictor {
             let window = start..start + block;
             let targets = start + 1..start + block + 1;
             let steps = Steps {
-                upper: &upper[window.clone()],
-                lower: &lower[window.clone()],
+                codes: &code_pairs(&upper[window.clone()], &lower[window.clone()])?,
                 music: rows.slice_axis(Axis(0), Slice::from(rows_beside(window))),
             };
-            let mut cache = self.gpt.empty_cache()?;
-            let logits = self.gpt.run(steps, &mut cache, &cancel)?;
+            let logits = self.gpt.logits(steps)?;
             Ok((logits, [&upper[targets.clone()], &lower[targets]]))
         });
         windows.collect()

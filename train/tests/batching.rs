@@ -7,22 +7,21 @@ use std::sync::{
 
 use crate::common::{TOLERANCE, assert_close, codes, fixture, floats, imported, rows};
 use bailando::{
-    CancelToken,
-    audio::AudioLimits,
-    engine::{Choreographer, EngineConfig, EngineError, GenerationOptions, Progress, RawDance},
-    model::{Gpt, GptMemory, Logits, NextStep, Steps, WeightStorage, WindowKind},
+    engine::{
+        Engine, EngineConfig, EngineError, GenerationOptions, GenerationOutput, GenerationRequest,
+        Progress,
+    },
+    model::{Gpt, KvCache, Logits, NextStep, Steps, WeightStorage, WindowKind, code_pairs},
 };
 use ndarray::{Array2, Axis};
 use tempfile::TempDir;
 
-fn open(folder: &TempDir, batch: usize) -> bailando::Result<Choreographer> {
-    Choreographer::open(&EngineConfig {
-        model_dir: folder.path().join("model"),
+fn open(folder: &TempDir, batch: usize) -> Result<Engine, EngineError> {
+    Engine::open(&EngineConfig {
         threads: 1,
         batch,
         queue: 16,
-        audio: AudioLimits::default(),
-        observer: std::sync::Arc::new(()),
+        ..EngineConfig::new(folder.path().join("model"))
     })
 }
 
@@ -50,17 +49,18 @@ fn options(number: usize) -> GenerationOptions {
 }
 
 fn dance(
-    choreographer: &Choreographer,
+    engine: &Engine,
     number: usize,
     progress: Arc<dyn Progress>,
-) -> bailando::Result<RawDance> {
+) -> Result<GenerationOutput, EngineError> {
     let length = match number {
         // More than one chunk of frames.
         4 => 230,
         _ => 40 + 9 * number,
     };
     let music = music(number * 7, length);
-    choreographer.dance_to_rows(music, &options(number), &CancelToken::new(), progress)
+    let request = GenerationRequest::features(music, options(number));
+    engine.generate(request.with_progress(progress))
 }
 
 /// Holds the model's thread at its first code until all requests are there.
@@ -87,7 +87,7 @@ fn dances_side_by_side_are_those_that_each_gets_alone() {
     for weights in [WeightStorage::F32, WeightStorage::Int8] {
         let (folder, _) = imported(|options| options.description.weights = weights);
         let alone = open(&folder, 2).unwrap();
-        let alone: Vec<RawDance> = (0..DANCES)
+        let alone: Vec<GenerationOutput> = (0..DANCES)
             .map(|number| dance(&alone, number, Arc::new(())).unwrap())
             .collect();
         // All at once; and more than there are rows, so that they take turns.
@@ -110,7 +110,8 @@ fn dances_side_by_side_are_those_that_each_gets_alone() {
             });
             for (number, (found, wanted)) in results.iter().zip(&alone).enumerate() {
                 assert_eq!(found.codes, wanted.codes, "{weights:?} {batch} {number}");
-                assert_eq!(found.motion, wanted.motion, "{weights:?} {batch} {number}");
+                let [found, wanted] = [found, wanted].map(|one| one.clone().into_decoded());
+                assert_eq!(found, wanted, "{weights:?} {batch} {number}");
             }
         }
     }
@@ -127,7 +128,7 @@ fn a_long_song_does_not_block_a_short_one() {
     }
     let (folder, _) = imported(|_| {});
     // A single row: they cannot go side by side.
-    let choreographer = open(&folder, 1).unwrap();
+    let engine = open(&folder, 1).unwrap();
     let options = GenerationOptions {
         window: Some(WindowKind::Hop),
         ..options(2)
@@ -136,13 +137,15 @@ fn a_long_song_does_not_block_a_short_one() {
     let counting = Arc::new(Counting(Hold::new(), AtomicUsize::new(0)));
     std::thread::scope(|scope| {
         let running = scope.spawn(|| {
-            let progress = counting.clone();
-            choreographer.dance_to_rows(music(0, long), &options, &CancelToken::new(), progress)
+            let request = GenerationRequest::features(music(0, long), options.clone());
+            engine.generate(request.with_progress(counting.clone()))
         });
         counting.0.0.wait();
         let waiting = scope.spawn(|| {
-            let progress = Arc::new(());
-            choreographer.dance_to_rows(music(0, short), &options, &CancelToken::new(), progress)
+            engine.generate(GenerationRequest::features(
+                music(0, short),
+                options.clone(),
+            ))
         });
         // It must be in the queue before the model goes on: it has no way to say so.
         std::thread::sleep(std::time::Duration::from_millis(200));
@@ -157,7 +160,7 @@ fn a_long_song_does_not_block_a_short_one() {
 #[test]
 fn what_does_not_fit_into_the_batch_is_refused() {
     let (folder, _) = imported(|_| {});
-    let choreographer = open(&folder, 3).unwrap();
+    let engine = open(&folder, 3).unwrap();
     let refused = |candidates: usize, guidance: f32| {
         let options = GenerationOptions {
             candidates: Some(candidates),
@@ -165,7 +168,7 @@ fn what_does_not_fit_into_the_batch_is_refused() {
             temperature: Some(1.0),
             ..GenerationOptions::default()
         };
-        choreographer.check(&options).err()
+        engine.check(&options).err()
     };
     assert_eq!(refused(3, 1.0), None);
     for (candidates, guidance) in [(4, 1.0), (2, 2.0)] {
@@ -187,28 +190,27 @@ fn golden() -> (Vec<u32>, Vec<u32>) {
 }
 
 /// The first steps of the golden codes, one by one, in the last of some rows that all do the same.
-fn stepped(gpt: &mut Gpt, memory: &mut GptMemory, primed: usize, dances: usize) -> Vec<Logits> {
+fn stepped(gpt: &mut Gpt, cache: &mut KvCache, prefilled: usize, dances: usize) -> Vec<Logits> {
     let ((upper, lower), music) = (golden(), floats(&fixture("music.npy")));
+    let codes = code_pairs(&upper, &lower).unwrap();
     for row in 0..dances {
-        memory.forget(row);
-        if primed > 0 {
+        cache.clear(row);
+        if prefilled > 0 {
             let steps = Steps {
-                upper: &upper[..primed],
-                lower: &lower[..primed],
-                music: rows(&music, 1..primed + 1),
+                codes: &codes[..prefilled],
+                music: rows(&music, 1..prefilled + 1),
             };
-            gpt.prime(memory, row, steps, &CancelToken::new()).unwrap();
+            gpt.prefill(cache, row, steps).unwrap();
         }
-        assert_eq!(memory.steps(row), primed);
+        assert_eq!(cache.steps(row), prefilled);
     }
-    (primed..20)
+    (prefilled..20)
         .map(|step| {
             let next = NextStep {
-                upper: upper[step],
-                lower: lower[step],
+                codes: codes[step],
                 music: music.row(step + 1),
             };
-            let Logits { upper, lower } = gpt.step(memory, &vec![next; dances]).unwrap();
+            let Logits { upper, lower } = gpt.step(cache, &vec![next; dances]).unwrap();
             let last = |half: Array2<f32>| half.select(Axis(0), &[dances - 1]);
             Logits {
                 upper: last(upper),
@@ -222,18 +224,16 @@ fn stepped(gpt: &mut Gpt, memory: &mut GptMemory, primed: usize, dances: usize) 
 fn steps_from_memory_are_those_of_a_whole_run() {
     let (_folder, directory) = imported(|_| {});
     let mut gpt = directory.gpt(1).unwrap();
-    let mut memory = gpt.memory(4);
+    let mut cache = gpt.cache(4);
     let ((upper, lower), music) = (golden(), floats(&fixture("music.npy")));
     for (primed, dances) in [(0, 1), (7, 1), (7, 4)] {
-        let stepped = stepped(&mut gpt, &mut memory, primed, dances);
+        let stepped = stepped(&mut gpt, &mut cache, primed, dances);
         for (step, found) in (primed..).zip(&stepped) {
-            let mut cache = gpt.empty_cache().unwrap();
             let steps = Steps {
-                upper: &upper[..=step],
-                lower: &lower[..=step],
+                codes: &code_pairs(&upper[..=step], &lower[..=step]).unwrap(),
                 music: rows(&music, 1..step + 2),
             };
-            let whole = gpt.run(steps, &mut cache, &CancelToken::new()).unwrap();
+            let whole = gpt.logits(steps).unwrap();
             let last = |half: &Array2<f32>| half.select(Axis(0), &[step]);
             let what = format!("step {step} of {dances} after {primed}");
             assert_close(&found.upper, &last(&whole.upper), TOLERANCE, &what);
@@ -251,8 +251,8 @@ fn eight_bit_matrices_stay_close_and_smaller() {
     assert!(size(&small) < size(&exact) / 2);
     let logits = |directory: &bailando::model::ModelDirectory| {
         let mut gpt = directory.gpt(1).unwrap();
-        let mut memory = gpt.memory(1);
-        stepped(&mut gpt, &mut memory, 4, 1)
+        let mut cache = gpt.cache(1);
+        stepped(&mut gpt, &mut cache, 4, 1)
     };
     for (exact, small) in logits(&exact).iter().zip(&logits(&small)) {
         for (exact, small) in [(&exact.upper, &small.upper), (&exact.lower, &small.lower)] {

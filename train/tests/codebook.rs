@@ -2,7 +2,6 @@
 
 use crate::common::{alone, imported};
 use bailando::{
-    CancelToken,
     codebook::{Catalogue, Half, Order, Uses},
     formats::Codes,
     model::ModelDirectory,
@@ -70,8 +69,7 @@ fn every_pose_is_the_middle_of_its_repeated_code() {
     assert_eq!(json["skeleton"]["joints"].as_array().unwrap().len(), 24);
     let mut decoder = directory.decoder(1).unwrap();
     let mut still = |upper: usize, lower: usize| -> Array2<f32> {
-        let [upper, lower] = [upper, lower].map(|code| vec![code as u32; 12]);
-        let motion = decoder.decode(&upper, &lower, &CancelToken::new()).unwrap();
+        let motion = decoder.decode(&[[upper as u32, lower as u32]; 12]).unwrap();
         let mut pose = motion.row(48).to_owned();
         // The root's velocity is no part of a pose.
         (0..3).for_each(|axis| pose[axis] = 0.0);

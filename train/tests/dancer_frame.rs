@@ -6,11 +6,12 @@ use std::{fs, path::Path, sync::Arc};
 
 use crate::common::{assert_close, gpt, options, vqvae};
 use bailando::{
-    CancelToken,
-    audio::AudioLimits,
     codebook::{Catalogue, Half, Order},
-    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions, RawDance},
-    model::{Manifest, ModelDirectory},
+    engine::{
+        Engine, EngineConfig, EngineError, GenerationOptions, GenerationOutput, GenerationRequest,
+    },
+    formats::Codes,
+    model::{Manifest, ModelDirectory, code_pairs},
     motion::{MotionFrame, to_world_frame},
 };
 use bailando_train::{
@@ -57,19 +58,15 @@ fn write(weights: &VqVaeWeights, frame: MotionFrame, out: &Path) -> Result<Manif
     )
 }
 
-fn open(model: &Path) -> bailando::Result<Choreographer> {
-    Choreographer::open(&EngineConfig {
-        model_dir: model.to_owned(),
+fn open(model: &Path) -> Result<Engine, EngineError> {
+    Engine::open(&EngineConfig {
         threads: 1,
-        batch: DEFAULT_BATCH.get(),
-        queue: 1,
-        audio: AudioLimits::default(),
-        observer: std::sync::Arc::new(()),
+        ..EngineConfig::new(model)
     })
 }
 
 /// A dance of more than two chunks.
-fn dance(choreographer: &Choreographer) -> RawDance {
+fn dance(engine: &Engine) -> GenerationOutput {
     let music = Array2::from_shape_fn((150, 438), |(row, column)| {
         ((row * 31 + column * 7) % 97) as f32 / 97.0 - 0.5
     });
@@ -78,8 +75,8 @@ fn dance(choreographer: &Choreographer) -> RawDance {
         temperature: Some(1.0),
         ..GenerationOptions::default()
     };
-    choreographer
-        .dance_to_rows(music, &options, &CancelToken::new(), Arc::new(()))
+    engine
+        .generate(GenerationRequest::features(music, options))
         .unwrap()
 }
 
@@ -128,8 +125,9 @@ fn a_dance_is_served_in_world_directions() {
     let weights = turning();
     write(&weights, MotionFrame::Dancer, &model).unwrap();
     let dance = dance(&open(&model).unwrap());
-    let (upper, lower) = (&dance.codes.upper, &dance.codes.lower);
-    assert_eq!(dance.motion.dim(), (8 * upper.len(), 72));
+    let Codes { upper, lower } = &dance.codes.clone();
+    let motion = dance.into_decoded();
+    assert_eq!(motion.dim(), (8 * upper.len(), 72));
 
     let own = decoded_by_networks(&weights, upper, lower);
     let turned: f32 = own.column(72).sum();
@@ -139,14 +137,14 @@ fn a_dance_is_served_in_world_directions() {
         "a dance that does not turn tests nothing"
     );
     let world = to_world_frame(own.view()).unwrap();
-    assert_close(&dance.motion, &world, TOLERANCE, "served from chunks");
+    assert_close(&motion, &world, TOLERANCE, "served from chunks");
 
     let directory = ModelDirectory::open(&model).unwrap();
     let mut decoder = directory.decoder(1).unwrap();
-    let whole = decoder.decode(upper, lower, &CancelToken::new()).unwrap();
+    let whole = decoder.decode(&code_pairs(upper, lower).unwrap()).unwrap();
     assert_close(&whole, &own, common::TOLERANCE, "decoder.onnx");
     let world = MotionFrame::Dancer.into_world(whole).unwrap();
-    assert_close(&dance.motion, &world, TOLERANCE, "chunks and at once");
+    assert_close(&motion, &world, TOLERANCE, "chunks and at once");
 }
 
 #[test]

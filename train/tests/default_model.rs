@@ -2,7 +2,7 @@
 
 use std::{fs, path::Path};
 
-use bailando::{CancelToken, model::ModelDirectory};
+use bailando::model::ModelDirectory;
 
 /// What a clone may weigh for the sake of its first dance.
 const LIMIT_BYTES: u64 = 40_000_000;
@@ -14,10 +14,8 @@ fn the_default_model_is_whole() {
     directory.gpt(1).unwrap();
     directory.encoder(1).unwrap();
     let mut decoder = directory.decoder(1).unwrap();
-    let [upper, lower] = directory.manifest().start_codes[0];
-    let motion = decoder
-        .decode(&[upper], &[lower], &CancelToken::new())
-        .unwrap();
+    let start = &directory.manifest().start_codes[..1];
+    let motion = decoder.decode(start).unwrap();
     assert_eq!(motion.dim(), (8, directory.manifest().decoded_columns()));
     // Joints are relative to the root: none is further away than a body is tall.
     assert!(motion.iter().all(|value| value.abs() < 2.0));
@@ -43,7 +41,8 @@ fn a_repeated_code_stands_still_and_another_one_moves() {
     let directory = ModelDirectory::open(&folder).unwrap();
     let mut decoder = directory.decoder(1).unwrap();
     let mut moved = |codes: &[u32]| {
-        let motion = decoder.decode(codes, codes, &CancelToken::new()).unwrap();
+        let codes: Vec<_> = codes.iter().map(|&code| [code; 2]).collect();
+        let motion = decoder.decode(&codes).unwrap();
         // Metres from the first to the last frame of the two codes in the middle, mean of all
         // joints.
         let (first, last) = (motion.row(40), motion.row(55));
@@ -79,8 +78,7 @@ fn codes_of_a_pelvis_near_the_ground_are_suppressed_and_no_others() {
     let directory = ModelDirectory::open(&folder).unwrap();
     let mut decoder = directory.decoder(1).unwrap();
     let mut is_low = |code: u32| {
-        let motion = decoder.decode(&[0; 9], &[code; 9], &CancelToken::new());
-        let motion = motion.unwrap();
+        let motion = decoder.decode(&[[0, code]; 9]).unwrap();
         let heights = (1..24).map(|joint| motion[[36, 3 * joint + 1]]);
         // Heights are above the root's.
         -heights.fold(0.0, f32::min) < LOWEST

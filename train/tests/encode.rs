@@ -2,7 +2,7 @@
 
 use crate::common::{codes, fixture, floats, imported};
 use crate::testing::TestFolder;
-use bailando::CancelToken;
+use bailando::model::code_pairs;
 use bailando_train::{
     data::Split,
     encode::{EncodeOptions, encode},
@@ -47,7 +47,8 @@ fn recordings_get_the_golden_codes_and_are_decoded_again() {
     let halves = [0, 1].map(|half| found.row(half).iter().map(|&code| code as u32).collect());
     let [upper, lower]: [Vec<u32>; 2] = halves;
     let mut decoder = directory.decoder(1).unwrap();
-    let decoded = decoder.decode(&upper, &lower, &CancelToken::new()).unwrap();
+    let decoded = decoder.decode(&code_pairs(&upper, &lower).unwrap());
+    let decoded = decoded.unwrap();
     assert_eq!(positions.dim(), (240, 24, 3));
     for axis in 0..3 {
         let start = [0.0, 0.9, 0.0][axis];

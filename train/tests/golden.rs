@@ -1,16 +1,14 @@
 //! Single runs of the three graphs against the golden vectors (ARCHITECTURE section 5). Sampling
 //! itself is the engine's: here every window is given.
 
-use std::{path::Path, sync::Arc};
+use std::{ops::Range, path::Path};
 
 use crate::common::{
     self, TOLERANCE, assert_close, codes, fixture, floats, imported, options, rows, shared,
 };
 use bailando::{
-    CancelToken,
-    audio::AudioLimits,
-    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
-    model::{Gpt, KvCache, Logits, ModelDirectory, Steps, WeightStorage, WindowKind},
+    engine::{Engine, EngineConfig, GenerationOptions, GenerationRequest},
+    model::{Gpt, Logits, ModelDirectory, NextStep, Steps, WeightStorage, WindowKind, code_pairs},
 };
 use bailando_train::{HostTensor, export::write_model_directory, onnx::InputRanges};
 use ndarray::{Array1, Array2, Axis};
@@ -53,21 +51,18 @@ impl Sampling {
 }
 
 /// Runs codes `from..to` of the golden models.
-fn run(
-    gpt: &mut Gpt,
-    cache: &mut KvCache,
-    codes: &(Vec<u32>, Vec<u32>),
-    from: usize,
-    to: usize,
-) -> Logits {
+fn run(gpt: &mut Gpt, codes: &(Vec<u32>, Vec<u32>), from: usize, to: usize) -> Logits {
     let music = floats(&fixture("music.npy"));
     let steps = Steps {
-        upper: &codes.0[from..to],
-        lower: &codes.1[from..to],
+        codes: &pairs(codes, from..to),
         // The reference drops the first row of music.
         music: rows(&music, from + 1..to + 1),
     };
-    gpt.run(steps, cache, &CancelToken::new()).unwrap()
+    gpt.logits(steps).unwrap()
+}
+
+fn pairs((upper, lower): &(Vec<u32>, Vec<u32>), range: Range<usize>) -> Vec<[u32; 2]> {
+    code_pairs(&upper[range.clone()], &lower[range]).unwrap()
 }
 
 fn last_row(logits: &Array2<f32>) -> Array2<f32> {
@@ -85,9 +80,8 @@ fn check_logits(directory: &ModelDirectory) {
     for sampling in SAMPLINGS {
         let codes = sampling.codes();
         for k in [0, 10, 28, 40] {
-            let mut cache = gpt.empty_cache().unwrap();
             let from = k + 1 - sampling.window(k);
-            let logits = run(&mut gpt, &mut cache, &codes, from, k + 1);
+            let logits = run(&mut gpt, &codes, from, k + 1);
             for (half, found) in [("up", &logits.upper), ("down", &logits.lower)] {
                 let name = format!("logits_{}_k{k}_{half}.npy", sampling.name);
                 assert_close(&last_row(found), &golden_row(&name), TOLERANCE, &name);
@@ -98,8 +92,7 @@ fn check_logits(directory: &ModelDirectory) {
 
 fn check_block(directory: &ModelDirectory) {
     let mut gpt = directory.gpt(1).unwrap();
-    let mut cache = gpt.empty_cache().unwrap();
-    let logits = run(&mut gpt, &mut cache, &SAMPLINGS[0].codes(), 0, 29);
+    let logits = run(&mut gpt, &SAMPLINGS[0].codes(), 0, 29);
     for (half, found) in [("up", &logits.upper), ("down", &logits.lower)] {
         let name = format!("block_logits_{half}.npy");
         assert_close(found, &floats(&fixture(&name)), TOLERANCE, &name);
@@ -107,17 +100,17 @@ fn check_block(directory: &ModelDirectory) {
 }
 
 fn check_vqvae(directory: &ModelDirectory) {
-    let cancel = CancelToken::new();
     let mut decoder = directory.decoder(1).unwrap();
     for (sampling, name) in SAMPLINGS.iter().zip(["decode_raw", "decode_raw_shift15"]) {
-        let (upper, lower) = sampling.codes();
-        let motion = decoder.decode(&upper, &lower, &cancel).unwrap();
+        let codes = sampling.codes();
+        let motion = decoder.decode(&pairs(&codes, 0..codes.0.len())).unwrap();
         let golden = floats(&fixture(&format!("{name}.npy")));
         assert_close(&motion, &golden, TOLERANCE, name);
     }
     let motion = floats(&fixture("motion.npy"));
-    let encoded = directory.encoder(1).unwrap().encode(motion.view(), &cancel);
-    let (upper, lower) = encoded.unwrap();
+    let encoded = directory.encoder(1).unwrap().encode(motion.view());
+    let encoded = encoded.unwrap().into_iter();
+    let (upper, lower): (Vec<u32>, Vec<u32>) = encoded.map(|[up, down]| (up, down)).unzip();
     assert_eq!(upper, codes(&fixture("enc_up.npy")));
     assert_eq!(lower, codes(&fixture("enc_down.npy")));
 }
@@ -177,17 +170,25 @@ fn cached_single_steps_equal_the_whole_window() {
     let (_folder, directory) = imported(|_| {});
     let mut gpt = directory.gpt(1).unwrap();
     let codes = SAMPLINGS[1].codes();
-    for primed in [0, 1, 15] {
-        let mut cache = gpt.empty_cache().unwrap();
-        if primed > 0 {
-            run(&mut gpt, &mut cache, &codes, 0, primed);
+    let music = floats(&fixture("music.npy"));
+    for prefilled in [0, 1, 15] {
+        let mut cache = gpt.cache(1);
+        if prefilled > 0 {
+            let steps = Steps {
+                codes: &pairs(&codes, 0..prefilled),
+                music: rows(&music, 1..prefilled + 1),
+            };
+            gpt.prefill(&mut cache, 0, steps).unwrap();
         }
-        for step in primed..CONTEXT {
-            let single = run(&mut gpt, &mut cache, &codes, step, step + 1);
-            assert_eq!(cache.steps(), step + 1);
-            let mut fresh = gpt.empty_cache().unwrap();
-            let whole = run(&mut gpt, &mut fresh, &codes, 0, step + 1);
-            let what = format!("step {step} after a prime of {primed}");
+        for step in prefilled..CONTEXT {
+            assert_eq!(cache.steps(0), step);
+            let next = NextStep {
+                codes: [codes.0[step], codes.1[step]],
+                music: music.row(step + 1),
+            };
+            let single = gpt.step(&mut cache, &[next]).unwrap();
+            let whole = run(&mut gpt, &codes, 0, step + 1);
+            let what = format!("step {step} after a prefill of {prefilled}");
             assert_close(&single.upper, &last_row(&whole.upper), TOLERANCE, &what);
             assert_close(&single.lower, &last_row(&whole.lower), TOLERANCE, &what);
         }
@@ -202,10 +203,7 @@ fn the_future_is_hidden() {
     let mut other = codes.clone();
     other.0[20] = (other.0[20] + 1) % 16;
     other.1[20] = (other.1[20] + 1) % 16;
-    let [first, second] = [&codes, &other].map(|codes| {
-        let mut cache = gpt.empty_cache().unwrap();
-        run(&mut gpt, &mut cache, codes, 0, 28)
-    });
+    let [first, second] = [&codes, &other].map(|codes| run(&mut gpt, codes, 0, 28));
     let changed: Vec<usize> = (0..28)
         .filter(|&row| first.upper.row(row) != second.upper.row(row))
         .collect();
@@ -226,7 +224,7 @@ fn decode_chunked(
         let end = (start + length).min(total);
         let from = start.saturating_sub(overlap);
         let to = (end + overlap).min(total);
-        let chunk = decoder.decode(&codes.0[from..to], &codes.1[from..to], &CancelToken::new());
+        let chunk = decoder.decode(&pairs(codes, from..to));
         let middle = 8 * (start - from)..8 * (end - from);
         parts.push(rows(&chunk.unwrap(), middle).to_owned());
     }
@@ -261,11 +259,10 @@ fn a_code_moves_frames_within_the_receptive_field_only() {
     let reach = directory.manifest().decoder.receptive_codes;
     let mut decoder = directory.decoder(1).unwrap();
     let changed_code = 40;
-    let upper = vec![3; 80];
-    let mut moved = upper.clone();
-    moved[changed_code] = 9;
-    let [before, after] =
-        [&upper, &moved].map(|codes| decoder.decode(codes, codes, &CancelToken::new()).unwrap());
+    let codes = vec![[3; 2]; 80];
+    let mut moved = codes.clone();
+    moved[changed_code] = [9; 2];
+    let [before, after] = [&codes, &moved].map(|codes| decoder.decode(codes).unwrap());
     let moved: Vec<usize> = (0..80)
         .filter(|code| {
             let frames = 8 * code..8 * code + 8;
@@ -298,8 +295,7 @@ fn the_model_predicts_the_golden_codes() {
         let codes = sampling.codes();
         for k in 0..codes.0.len() - 1 {
             let from = k + 1 - sampling.window(k);
-            let mut cache = gpt.empty_cache().unwrap();
-            let logits = run(&mut gpt, &mut cache, &codes, from, k + 1);
+            let logits = run(&mut gpt, &codes, from, k + 1);
             let next = [&logits.upper, &logits.lower].map(|half| first_maximum(&last_row(half)));
             let expected = [codes.0[k + 1], codes.1[k + 1]];
             let name = sampling.name;
@@ -312,13 +308,9 @@ fn the_model_predicts_the_golden_codes() {
 #[test]
 fn the_engine_repeats_the_golden_codes() {
     let (folder, _directory) = imported(|_| {});
-    let engine = Choreographer::open(&EngineConfig {
-        model_dir: folder.path().join("model"),
+    let engine = Engine::open(&EngineConfig {
         threads: 1,
-        batch: DEFAULT_BATCH.get(),
-        queue: 1,
-        audio: AudioLimits::default(),
-        observer: Arc::new(()),
+        ..EngineConfig::new(folder.path().join("model"))
     })
     .unwrap();
     let start = codes(&fixture("start_codes.npy"));
@@ -332,9 +324,8 @@ fn the_engine_repeats_the_golden_codes() {
             ..GenerationOptions::default()
         };
         let music = floats(&fixture("music.npy"));
-        let dance = engine
-            .dance_to_rows(music, &options, &CancelToken::new(), Arc::new(()))
-            .unwrap();
+        let request = GenerationRequest::features(music, options);
+        let dance = engine.generate(request).unwrap();
         let found = (dance.codes.upper, dance.codes.lower);
         assert_eq!(found, sampling.codes(), "{}", sampling.name);
     }

@@ -14,9 +14,7 @@ use std::{
 
 use crate::testing::TestFolder;
 use bailando::{
-    CancelToken,
-    audio::AudioLimits,
-    engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
+    engine::{Engine, EngineConfig, GenerationOptions, GenerationRequest},
     model::ModelDirectory,
 };
 use bailando_train::export::skeleton;
@@ -143,13 +141,9 @@ fn same(whole: &Path, broken: &Path) {
 
 /// The engine dances to a song with the model, counts included.
 fn dances(model: &Path, song: &Path) {
-    let engine = Choreographer::open(&EngineConfig {
-        model_dir: model.to_owned(),
+    let engine = Engine::open(&EngineConfig {
         threads: 1,
-        batch: DEFAULT_BATCH.get(),
-        queue: 1,
-        audio: AudioLimits::default(),
-        observer: std::sync::Arc::new(()),
+        ..EngineConfig::new(model)
     })
     .unwrap();
     let features = &engine.manifest().features;
@@ -162,9 +156,10 @@ fn dances(model: &Path, song: &Path) {
         ..GenerationOptions::default()
     };
     let song = fs::read(song).unwrap();
-    let dance = engine
-        .generate(song.into(), &options, &CancelToken::new())
+    let output = engine
+        .generate(GenerationRequest::audio(song, options))
         .unwrap();
+    let dance = output.into_motion(engine.manifest());
     assert_eq!(dance.positions.dim(), (10 * 60 + 8, 24, 3));
     assert_eq!(dance.music, None, "beats that were not asked for");
     assert!(dance.positions.iter().all(|value| value.is_finite()));

@@ -7,17 +7,12 @@ use std::{
         Arc, Barrier,
         atomic::{AtomicUsize, Ordering},
     },
-    time::{Duration, Instant},
 };
 
 use crate::common::{TOLERANCE, assert_close, codes, fixture, floats, imported, shared};
 use bailando::{
-    CancelToken, Error,
-    audio::AudioLimits,
-    engine::{
-        Choreographer, DEFAULT_BATCH, EngineConfig, EngineError, GenerationOptions, Progress,
-    },
-    model::WindowKind,
+    engine::{Engine, EngineConfig, EngineError, GenerationOptions, GenerationRequest, Progress},
+    model::{WindowKind, code_pairs},
     motion::integrate_root,
 };
 use ndarray::Array2;
@@ -26,14 +21,10 @@ use tempfile::TempDir;
 /// Start codes of the golden samplings.
 const START: (u32, u32) = (8, 3);
 
-fn open(folder: &TempDir) -> Choreographer {
-    Choreographer::open(&EngineConfig {
-        model_dir: folder.path().join("model"),
+fn open(folder: &TempDir) -> Engine {
+    Engine::open(&EngineConfig {
         threads: 1,
-        batch: DEFAULT_BATCH.get(),
-        queue: 1,
-        audio: AudioLimits::default(),
-        observer: std::sync::Arc::new(()),
+        ..EngineConfig::new(folder.path().join("model"))
     })
     .unwrap()
 }
@@ -49,11 +40,10 @@ fn options(window: WindowKind) -> GenerationOptions {
     }
 }
 
-fn assert_golden_sampling(choreographer: &Choreographer, window: WindowKind, name: &str) {
+fn assert_golden_sampling(engine: &Engine, window: WindowKind, name: &str) {
     let music = floats(&fixture("music.npy"));
-    let dance = choreographer
-        .dance_to_rows(music, &options(window), &CancelToken::new(), Arc::new(()))
-        .unwrap();
+    let request = GenerationRequest::features(music, options(window));
+    let dance = engine.generate(request).unwrap();
     assert_eq!(
         dance.codes.upper,
         codes(&fixture(&format!("codes_{name}_up.npy"))),
@@ -69,9 +59,10 @@ fn assert_golden_sampling(choreographer: &Choreographer, window: WindowKind, nam
     } else {
         "decode_raw_shift15.npy"
     };
-    assert_close(&dance.motion, &floats(&fixture(raw)), TOLERANCE, raw);
+    let motion = dance.into_decoded();
+    assert_close(&motion, &floats(&fixture(raw)), TOLERANCE, raw);
     if name == "slide" {
-        let joints = integrate_root(dance.motion.view(), [0.0; 3]).unwrap();
+        let joints = integrate_root(motion.view(), [0.0; 3]).unwrap();
         let frames = joints.dim().0;
         let joints = joints.into_shape_with_order((frames, 72)).unwrap();
         assert_close(
@@ -84,9 +75,9 @@ fn assert_golden_sampling(choreographer: &Choreographer, window: WindowKind, nam
 }
 
 fn assert_golden(folder: &TempDir) {
-    let choreographer = open(folder);
-    assert_golden_sampling(&choreographer, WindowKind::Sliding, "slide");
-    assert_golden_sampling(&choreographer, WindowKind::Hop, "shift15");
+    let engine = open(folder);
+    assert_golden_sampling(&engine, WindowKind::Sliding, "slide");
+    assert_golden_sampling(&engine, WindowKind::Hop, "shift15");
 }
 
 #[test]
@@ -119,36 +110,35 @@ fn every_checkpoint_variant_gives_the_golden_codes_and_motion() {
 #[test]
 fn a_piece_decodes_the_same_in_chunks_and_at_once() {
     let (folder, directory) = imported(|_| {});
-    let choreographer = open(&folder);
+    let engine = open(&folder);
     let music = Array2::from_shape_fn((200, 438), |(row, column)| {
         ((row * 31 + column * 7) % 97) as f32 / 97.0 - 0.5
     });
     let mut options = options(WindowKind::Hop);
     options.temperature = Some(1.0);
-    let dance = choreographer
-        .dance_to_rows(music, &options, &CancelToken::new(), Arc::new(()))
+    let dance = engine
+        .generate(GenerationRequest::features(music, options))
         .unwrap();
-    let whole = directory
-        .decoder(1)
-        .unwrap()
-        .decode(&dance.codes.upper, &dance.codes.lower, &CancelToken::new())
-        .unwrap();
+    let codes = code_pairs(&dance.codes.upper, &dance.codes.lower).unwrap();
+    let whole = directory.decoder(1).unwrap().decode(&codes).unwrap();
     assert_eq!(whole.nrows(), 1600);
-    assert_close(&dance.motion, &whole, 1e-6, "chunked decoding");
+    assert_close(&dance.into_decoded(), &whole, 1e-6, "chunked decoding");
 }
 
 #[test]
 fn seeds_decide_the_dance_and_given_codes_begin_it() {
     let (folder, _) = imported(|_| {});
-    let choreographer = open(&folder);
+    let engine = open(&folder);
     let dance = |seed, start: Option<u32>| {
         let mut options = options(WindowKind::Hop);
         options.seed = Some(seed);
         options.temperature = Some(1.0);
         options.start_upper = start;
         let music = floats(&fixture("music.npy"));
-        let raw = choreographer.dance_to_rows(music, &options, &CancelToken::new(), Arc::new(()));
-        raw.unwrap().codes
+        engine
+            .generate(GenerationRequest::features(music, options))
+            .unwrap()
+            .codes
     };
     assert_eq!(dance(4, None), dance(4, None));
     assert_ne!(dance(4, None), dance(5, None));
@@ -182,99 +172,57 @@ impl Progress for Gate {
     }
 }
 
+fn golden_request(progress: Arc<dyn Progress>) -> GenerationRequest {
+    let music = floats(&fixture("music.npy"));
+    GenerationRequest::features(music, options(WindowKind::Hop)).with_progress(progress)
+}
+
 #[test]
 fn cancellation_stops_at_the_next_step_and_the_model_dances_on() {
     let (folder, _) = imported(|_| {});
-    let choreographer = open(&folder);
+    let engine = open(&folder);
     let gate = Gate::new();
-    let cancel = CancelToken::new();
-    let working = std::thread::spawn({
-        let (choreographer, gate, cancel) = (choreographer.clone(), gate.clone(), cancel.clone());
-        move || {
-            let music = floats(&fixture("music.npy"));
-            choreographer.dance_to_rows(music, &options(WindowKind::Hop), &cancel, gate)
-        }
-    });
+    let generation = engine.submit(golden_request(gate.clone()));
     gate.reached.wait();
-    cancel.cancel();
+    drop(generation);
     gate.open.wait();
-    let result = working.join().unwrap();
-    assert!(
-        matches!(result, Err(Error::Engine(EngineError::Cancelled))),
-        "{result:?}"
-    );
-    assert_eq!(
-        gate.codes.load(Ordering::SeqCst),
-        1,
-        "no code after the cancellation"
-    );
-    assert_golden_sampling(&choreographer, WindowKind::Hop, "shift15");
+    assert_golden_sampling(&engine, WindowKind::Hop, "shift15");
+    let codes = gate.codes.load(Ordering::SeqCst);
+    assert_eq!(codes, 1, "no code after the cancellation");
 }
 
 #[test]
 fn a_full_queue_is_an_error_not_a_wait() {
     let (folder, _) = imported(|_| {});
-    let choreographer = open(&folder);
+    let engine = open(&folder);
     let gate = Gate::new();
-    let dance = |progress: Arc<dyn Progress>| {
-        let choreographer = choreographer.clone();
-        std::thread::spawn(move || {
-            let music = floats(&fixture("music.npy"));
-            let options = options(WindowKind::Hop);
-            choreographer.dance_to_rows(music, &options, &CancelToken::new(), progress)
-        })
-    };
-    let running = dance(gate.clone());
+    let running = engine.submit(golden_request(gate.clone()));
     gate.reached.wait();
     // One is running; of two more, one fits the queue of one and the other must be refused.
-    let others = [dance(Arc::new(())), dance(Arc::new(()))];
-    let deadline = Instant::now() + Duration::from_secs(60);
-    while !others.iter().any(|other| other.is_finished()) && Instant::now() < deadline {
-        std::thread::yield_now();
-    }
+    let waiting = engine.submit(golden_request(Arc::new(())));
+    let refused = engine.generate(golden_request(Arc::new(()))).unwrap_err();
+    assert!(matches!(refused, EngineError::QueueFull { capacity: 1 }));
     gate.open.wait();
-    assert!(running.join().unwrap().is_ok());
-    let results = others.map(|other| other.join().unwrap());
-    let full = |result: &bailando::Result<_>| {
-        matches!(
-            result,
-            Err(Error::Engine(EngineError::QueueFull { capacity: 1 }))
-        )
-    };
-    assert_eq!(results.iter().filter(|result| full(result)).count(), 1);
-    assert_eq!(results.iter().filter(|result| result.is_ok()).count(), 1);
+    assert!(running.wait().is_ok());
+    assert!(waiting.wait().is_ok());
 }
 
 #[test]
-fn a_request_cancelled_in_the_queue_returns_at_once_and_frees_its_place() {
+fn a_request_cancelled_in_the_queue_frees_its_place() {
     let (folder, _) = imported(|_| {});
-    let choreographer = open(&folder);
+    let engine = open(&folder);
     let gate = Gate::new();
-    let dance = |cancel: &CancelToken, progress: Arc<dyn Progress>| {
-        let (choreographer, cancel) = (choreographer.clone(), cancel.clone());
-        std::thread::spawn(move || {
-            let music = floats(&fixture("music.npy"));
-            choreographer.dance_to_rows(music, &options(WindowKind::Hop), &cancel, progress)
-        })
-    };
-    let running = dance(&CancelToken::new(), gate.clone());
+    let running = engine.submit(golden_request(gate.clone()));
     gate.reached.wait();
-    // The model is held: only the cancellation can end these, one after another in the one place.
+    // The model is held: these wait, one after another, in the one place.
     for _ in 0..3 {
-        let cancel = CancelToken::new();
-        let waiting = dance(&cancel, Arc::new(()));
-        cancel.cancel();
-        let result = waiting.join().unwrap();
-        assert!(
-            matches!(result, Err(Error::Engine(EngineError::Cancelled))),
-            "{result:?}"
-        );
+        drop(engine.submit(golden_request(Arc::new(()))));
     }
-    let last = dance(&CancelToken::new(), Arc::new(()));
+    let last = engine.submit(golden_request(Arc::new(())));
     gate.open.wait();
-    assert!(running.join().unwrap().is_ok());
-    assert!(last.join().unwrap().is_ok());
-    assert!(choreographer.is_alive());
+    assert!(running.wait().is_ok());
+    assert!(last.wait().is_ok());
+    assert!(engine.is_alive());
 }
 
 /// A manifest that lies about its graphs, with hashes that fit, is found out at start.
@@ -300,13 +248,9 @@ fn a_manifest_that_does_not_fit_its_graphs_is_refused_at_start() {
         let mut manifest = honest.clone();
         *manifest.pointer_mut(place).unwrap() = value.into();
         std::fs::write(&path, manifest.to_string()).unwrap();
-        let result = Choreographer::open(&EngineConfig {
-            model_dir: folder.path().join("model"),
+        let result = Engine::open(&EngineConfig {
             threads: 1,
-            batch: DEFAULT_BATCH.get(),
-            queue: 1,
-            audio: AudioLimits::default(),
-            observer: std::sync::Arc::new(()),
+            ..EngineConfig::new(folder.path().join("model"))
         });
         let error = result.expect_err(place).to_string();
         assert!(!error.contains('\n'), "{place} {value}: {error}");

@@ -4,7 +4,7 @@
 use std::{fs, path::Path, sync::Arc};
 
 use crate::common::{self, swinging};
-use bailando::{CancelToken, model::ModelDirectory, model::Steps};
+use bailando::model::{ModelDirectory, Steps, code_pairs};
 use bailando_train::{
     nn::{Codebook, DecoderNet, GptNet, Parameters, Store},
     training::{
@@ -119,7 +119,8 @@ fn serves_the_same(config: &Config) {
         .into_data();
     let velocity: Vec<f32> = velocity.iter::<f32>().collect();
     let mut decoder = directory.decoder(1).unwrap();
-    let served = decoder.decode(&upper, &lower, &CancelToken::new()).unwrap();
+    let pairs = code_pairs(&upper, &lower).unwrap();
+    let served = decoder.decode(&pairs).unwrap();
     assert_eq!(served.nrows() * 4, velocity.len());
     for (frame, wanted) in velocity.chunks(4).enumerate() {
         // The turn follows all joints.
@@ -136,13 +137,11 @@ fn serves_the_same(config: &Config) {
     let halves = [&upper, &lower].map(|codes| indices(codes).unsqueeze_dim::<2>(0));
     let logits = net.forward(&parameters, Tensor::from_data(rows, &device), halves, 0.0);
     let mut served = directory.gpt(1).unwrap();
-    let mut cache = served.empty_cache().unwrap();
     let steps = Steps {
-        upper: &upper,
-        lower: &lower,
+        codes: &pairs,
         music: music.view(),
     };
-    let served = served.run(steps, &mut cache, &CancelToken::new()).unwrap();
+    let served = served.logits(steps).unwrap();
     for (own, served) in [(logits.upper, served.upper), (logits.lower, served.lower)] {
         let own: Vec<f32> = own.into_data().iter::<f32>().collect();
         assert_eq!(own.len(), served.len());

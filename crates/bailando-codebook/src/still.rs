@@ -1,14 +1,11 @@
 //! The still pose of every code: a repeated code decodes to one (ARCHITECTURE section 7).
 
-use ndarray::Array2;
-
 use crate::{
     error::CodebookError,
     half::Half,
     heading::halves_to_front,
     pose::{Pose, pose},
 };
-use bailando_core::CancelToken;
 use bailando_model::{Decoder, Manifest};
 
 /// How often a code is repeated: its middle is far from the zero padding at the ends.
@@ -36,14 +33,11 @@ impl StillPoses {
         let middle = REPEATS * manifest.frames_per_code / 2;
         let mut bodies = Vec::with_capacity(runs.len());
         for batch in runs.chunks(BATCH) {
-            let repeated = |codes: usize| {
-                // The shorter vocabulary's last code is decoded again, and that is never used.
-                let code = |run: usize| batch[run].min(codes.saturating_sub(1)) as u32;
-                Array2::from_shape_fn((batch.len(), REPEATS), |(run, _)| code(run))
-            };
-            let [upper, lower] = codes.map(repeated);
-            let never = CancelToken::new();
-            let motion = decoder.decode_batch(upper.view(), lower.view(), &never)?;
+            // The shorter vocabulary's last code is decoded again, and that is never used.
+            let pair = |&run: &usize| codes.map(|codes| run.min(codes.saturating_sub(1)) as u32);
+            let repeated: Vec<_> = batch.iter().map(|run| [pair(run); REPEATS]).collect();
+            let sequences: Vec<_> = repeated.iter().map(|codes| &codes[..]).collect();
+            let motion = decoder.decode_batch(&sequences)?;
             let joints = manifest.skeleton.joints.len();
             bodies.extend(motion.outer_iter().map(|run| pose(run.row(middle), joints)));
         }

@@ -1,6 +1,6 @@
 //! The change from one pair of codes to another.
 
-use ndarray::{Array2, Axis};
+use ndarray::Axis;
 use serde::Serialize;
 
 use crate::{
@@ -8,7 +8,6 @@ use crate::{
     pose::{Pose, pose},
     uses::{Pair, Uses},
 };
-use bailando_core::CancelToken;
 use bailando_model::{Decoder, Manifest};
 
 /// How often either pair is repeated, so that both are poses before and after the change.
@@ -81,13 +80,11 @@ pub(crate) fn decode(
     if transitions.is_empty() {
         return Ok(());
     }
-    let [upper, lower] = [0, 1].map(|half| {
-        Array2::from_shape_fn((transitions.len(), 2 * REPEATS), |(row, step)| match step {
-            0..REPEATS => transitions[row].from[half],
-            _ => transitions[row].to[half],
-        })
-    });
-    let motion = decoder.decode_batch(upper.view(), lower.view(), &CancelToken::new())?;
+    let changes = transitions.iter();
+    let codes = changes.map(|change| [[change.from; REPEATS], [change.to; REPEATS]].concat());
+    let codes: Vec<Vec<Pair>> = codes.collect();
+    let sequences: Vec<_> = codes.iter().map(Vec::as_slice).collect();
+    let motion = decoder.decode_batch(&sequences)?;
     let step = manifest.frames_per_code / POSES_PER_CODE;
     let first = (REPEATS * manifest.frames_per_code).saturating_sub(POSES / 2 * step);
     let joints = manifest.skeleton.joints.len();

@@ -1,4 +1,4 @@
-//! A look through an ONNX file before ONNX Runtime reads it: all values must lie in the file itself.
+//! Checks an ONNX file before ONNX Runtime reads it: all values must lie in the file itself.
 //!
 //! The format lets a tensor name another file that holds its values. The manifest vouches for the
 //! files that it lists and for no others, so such a graph is refused whatever the runtime would

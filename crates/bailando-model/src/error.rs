@@ -82,7 +82,4 @@ pub enum ModelError {
         /// What was given.
         got: String,
     },
-    /// The caller no longer wants the result.
-    #[error("the model run was cancelled")]
-    Cancelled,
 }

@@ -1,22 +1,18 @@
 //! The motion GPT as a step graph with a key/value cache (paper Eq. 4-6, ARCHITECTURE section 3).
 
-use std::path::Path;
+use std::{ops::Range, path::Path};
 
-use ndarray::{Array2, Array4, ArrayView1, ArrayView2, Axis};
+use ndarray::{Array2, Array4, ArrayView1, ArrayView2, Axis, Slice};
 use ort::{
     memory::Allocator,
-    session::SessionInputValue,
     value::{DynValue, Tensor},
 };
 
 use super::{
     Manifest, ModelError,
-    memory::{GptMemory, RowShape, STREAMS},
-    session::{
-        Graph, Inputs, floats, integer_columns, integers, take, take_matrices, take_matrix, tensor,
-    },
+    cache::{KvCache, RowShape, STREAMS},
+    session::{Graph, Inputs, floats, integers, one_line, take, take_matrices, tensor},
 };
-use bailando_core::CancelToken;
 
 const GRAPH: &str = "gpt.onnx";
 /// Added to the scores of hidden tokens; exp of it is 0 in float32, and sums stay finite.
@@ -34,39 +30,20 @@ pub struct Gpt {
     columns: usize,
 }
 
-/// Keys and values of the steps seen so far, one pair per layer.
-#[derive(Debug)]
-pub struct KvCache {
-    layers: Vec<(DynValue, DynValue)>,
-    steps: usize,
-}
-
-impl KvCache {
-    /// Steps that the cache holds.
-    #[must_use]
-    pub fn steps(&self) -> usize {
-        self.steps
-    }
-}
-
-/// Consecutive steps to run: each step is one music row, one upper and one lower code.
+/// Consecutive steps to run: each step is one music row and one code pair.
 #[derive(Clone, Copy, Debug)]
 pub struct Steps<'a> {
-    /// Upper codes `[steps]`.
-    pub upper: &'a [u32],
-    /// Lower codes `[steps]`.
-    pub lower: &'a [u32],
+    /// Upper and lower codes `[steps]`.
+    pub codes: &'a [[u32; 2]],
     /// The music rows beside them `[steps, columns]`.
     pub music: ArrayView2<'a, f32>,
 }
 
-/// The newest step of a dance.
+/// The newest step of a sequence.
 #[derive(Clone, Copy, Debug)]
 pub struct NextStep<'a> {
-    /// Upper code.
-    pub upper: u32,
-    /// Lower code.
-    pub lower: u32,
+    /// Upper and lower code.
+    pub codes: [u32; 2],
     /// The music row beside them `[columns]`.
     pub music: ArrayView1<'a, f32>,
 }
@@ -80,23 +57,77 @@ pub struct Logits {
     pub lower: Array2<f32>,
 }
 
+impl Logits {
+    /// Checks that some rows hold finite numbers only.
+    ///
+    /// # Errors
+    /// [`ModelError::Run`] if a value is NaN or infinite.
+    pub fn check_rows(&self, rows: Range<usize>) -> Result<(), ModelError> {
+        let finite = |logits: &Array2<f32>| {
+            let rows = logits.slice_axis(Axis(0), Slice::from(rows.clone()));
+            rows.iter().all(|logit| logit.is_finite())
+        };
+        match finite(&self.upper) && finite(&self.lower) {
+            true => Ok(()),
+            false => Err(ModelError::Run {
+                graph: GRAPH,
+                problem: "it predicts values that are not finite numbers".into(),
+            }),
+        }
+    }
+}
+
+/// Names of the cache's inputs and outputs, keys and values per layer.
 #[derive(Debug)]
 struct CacheNames {
-    past: Vec<(String, String)>,
-    present: Vec<(String, String)>,
+    past: Vec<[String; 2]>,
+    present: Vec<[String; 2]>,
 }
 
 impl CacheNames {
     fn new(layers: usize) -> Self {
-        let pairs = |when: &str| {
+        let names = |when: &str| {
             (0..layers)
-                .map(|i| (format!("{when}_key.{i}"), format!("{when}_value.{i}")))
+                .map(|layer| {
+                    [
+                        format!("{when}_key.{layer}"),
+                        format!("{when}_value.{layer}"),
+                    ]
+                })
                 .collect()
         };
         Self {
-            past: pairs("past"),
-            present: pairs("present"),
+            past: names("past"),
+            present: names("present"),
         }
+    }
+}
+
+/// What a run gives: logits, and keys and values of every layer.
+struct Run {
+    logits: Logits,
+    present: Vec<[DynValue; 2]>,
+}
+
+impl Run {
+    fn append_to(
+        &self,
+        cache: &mut KvCache,
+        rows: Range<usize>,
+        steps: usize,
+    ) -> Result<(), ModelError> {
+        let numbers = |value| -> Result<_, ModelError> {
+            let tensor = DynValue::try_extract_tensor::<f32>(value);
+            let (_, numbers) = tensor.map_err(|e| ModelError::Run {
+                graph: GRAPH,
+                problem: one_line(&e),
+            })?;
+            Ok(numbers)
+        };
+        let present = self.present.iter();
+        let present = present.map(|[key, value]| Ok([numbers(key)?, numbers(value)?]));
+        let present: Vec<_> = present.collect::<Result<_, ModelError>>()?;
+        cache.append(GRAPH, rows, steps, &present)
     }
 }
 
@@ -106,19 +137,13 @@ impl Gpt {
     /// # Errors
     /// [`ModelError::Graph`], [`ModelError::Mismatch`] or [`ModelError::Runtime`].
     pub fn open(path: &Path, manifest: &Manifest, threads: usize) -> Result<Self, ModelError> {
-        // Steps have one shape for a number of dances, primes one for a number of steps.
+        // Steps have one shape per number of sequences, prefills one per number of steps.
         let graph = Graph::open(GRAPH, path, threads, true)?;
         let spec = manifest.gpt;
         let names = CacheNames::new(spec.layers);
-        let mut inputs: Vec<String> = ["upper", "lower", "music", "positions", "attention_bias"]
-            .map(str::to_owned)
-            .to_vec();
-        inputs.extend(
-            names
-                .past
-                .iter()
-                .flat_map(|(key, value)| [key.clone(), value.clone()]),
-        );
+        let inputs = ["upper", "lower", "music", "positions", "attention_bias"];
+        let inputs = inputs.into_iter().map(str::to_owned);
+        let inputs: Vec<String> = inputs.chain(names.past.iter().flatten().cloned()).collect();
         graph.expect_inputs(path, &inputs)?;
         Ok(Self {
             graph,
@@ -131,259 +156,186 @@ impl Gpt {
         })
     }
 
-    /// A cache that has seen nothing.
+    /// Logits of consecutive steps, from position 0 on and without a cache.
     ///
     /// # Errors
-    /// [`ModelError::Run`] when the runtime cannot make tensors.
-    pub fn empty_cache(&self) -> Result<KvCache, ModelError> {
-        let empty = || {
-            let shape = [1, self.heads, 0, self.head_size];
-            tensor(GRAPH, Tensor::<f32>::new(&Allocator::default(), shape))
-        };
-        let layers = self
-            .names
-            .past
-            .iter()
-            .map(|_| Ok((empty()?, empty()?)))
-            .collect::<Result<_, _>>()?;
-        Ok(KvCache { layers, steps: 0 })
+    /// [`ModelError::Input`] when lengths do not fit, or [`ModelError::Run`].
+    pub fn logits(&mut self, steps: Steps<'_>) -> Result<Logits, ModelError> {
+        Ok(self.run_alone(steps)?.logits)
     }
 
-    /// Runs `steps` after those in `cache`, which then holds them as well, and returns their
-    /// logits.
-    ///
-    /// # Errors
-    /// As [`Gpt::run_after`]; the cache is unchanged then.
-    pub fn run(
-        &mut self,
-        steps: Steps<'_>,
-        cache: &mut KvCache,
-        cancel: &CancelToken,
-    ) -> Result<Logits, ModelError> {
-        let (logits, longer) = self.run_after(steps, cache, cancel)?;
-        *cache = longer;
-        Ok(logits)
-    }
-
-    /// Runs `steps` after those in `cache` and returns their logits and a cache that holds them as
-    /// well. Positions go on from the cache's length (ARCHITECTURE: re-indexed from 0).
-    ///
-    /// # Errors
-    /// [`ModelError::Input`] when lengths do not fit, [`ModelError::Cancelled`], or
-    /// [`ModelError::Run`].
-    pub fn run_after(
-        &mut self,
-        steps: Steps<'_>,
-        cache: &KvCache,
-        cancel: &CancelToken,
-    ) -> Result<(Logits, KvCache), ModelError> {
-        let count = self.check(&steps, cache)?;
-        let inputs = self.inputs(steps, count, cache)?;
-        let present = &self.names.present;
-        let (logits, layers) = self.graph.run(inputs, cancel, |outputs| {
-            let logits = Logits {
-                upper: take_matrix(GRAPH, outputs, "upper_logits", count)?,
-                lower: take_matrix(GRAPH, outputs, "lower_logits", count)?,
-            };
-            // Moving outputs back in as the next inputs copies nothing (STACK.md).
-            let layers = present
-                .iter()
-                .map(|(key, value)| Ok((take(GRAPH, outputs, key)?, take(GRAPH, outputs, value)?)))
-                .collect::<Result<Vec<_>, ModelError>>()?;
-            Ok((logits, layers))
-        })?;
-        let steps = cache.steps + count;
-        Ok((logits, KvCache { layers, steps }))
-    }
-
-    /// Memory for dances side by side, `rows` at most.
+    /// An empty cache for sequences side by side, `rows` at most.
     #[must_use]
-    pub fn memory(&self, rows: usize) -> GptMemory {
+    pub fn cache(&self, rows: usize) -> KvCache {
         let shape = RowShape {
             heads: self.heads,
-            // The newest step of a whole window is not remembered: the window moves next.
+            // The newest step of a whole window is not kept: the window moves next.
             steps: self.context.saturating_sub(1).max(1),
             head_size: self.head_size,
         };
-        GptMemory::new(rows, self.names.past.len(), shape)
+        KvCache::new(rows, self.names.past.len(), shape)
     }
 
-    /// Makes a row of `memory` remember `steps`, from position 0 on, and nothing else.
+    /// Makes a row of `cache` hold `steps`, from position 0 on, and nothing else.
     ///
     /// # Errors
-    /// As [`Gpt::run_after`]; also for more steps than a row remembers. The row is forgotten then.
-    pub fn prime(
+    /// As [`Gpt::logits`]; also for more steps than a row holds. The row is empty then.
+    pub fn prefill(
         &mut self,
-        memory: &mut GptMemory,
+        cache: &mut KvCache,
         row: usize,
         steps: Steps<'_>,
-        cancel: &CancelToken,
     ) -> Result<(), ModelError> {
-        memory.forget(row);
-        let count = steps.upper.len();
-        if row >= memory.rows() || count > memory.shape().steps {
+        cache.clear(row);
+        let count = steps.codes.len();
+        if count > cache.shape().steps {
             return Err(ModelError::Input {
-                what: "GPT memory",
-                expected: format!("{} rows of {} steps", memory.rows(), memory.shape().steps),
-                got: format!("{count} steps for row {row}"),
+                what: "GPT cache",
+                expected: format!("at most {} steps in a row", cache.shape().steps),
+                got: format!("{count} steps"),
             });
         }
-        let (_, cache) = self.run_after(steps, &self.empty_cache()?, cancel)?;
-        let layers = cache.layers.into_iter();
-        let layers: Vec<_> = layers.map(|(key, value)| [key, value]).collect();
-        memory.append(GRAPH, row..row + 1, count, &layers)
+        self.run_alone(steps)?.append_to(cache, row..row + 1, count)
     }
 
-    /// One step more of each dance in the first rows of `memory`, which then remember it as well, and the
-    /// logits that follow, a row each: the same as if each were alone. Not interruptible, as it serves
-    /// many.
+    /// Computes one more step of the sequences in the first rows of `cache`, which then hold it as
+    /// well, and returns the logits that follow, a row each: the same as if each were alone.
     ///
     /// # Errors
-    /// [`ModelError::Input`] when there are more dances than rows, or music of another width;
-    /// [`ModelError::Run`]. Memory is unchanged then.
+    /// [`ModelError::Input`] when there are more sequences than rows, or music of another width;
+    /// [`ModelError::Run`]. The cache is unchanged then.
     pub fn step(
         &mut self,
-        memory: &mut GptMemory,
+        cache: &mut KvCache,
         next: &[NextStep<'_>],
     ) -> Result<Logits, ModelError> {
-        let dances = next.len();
+        let count = next.len();
         let fits = next.iter().all(|step| step.music.len() == self.columns);
-        if dances == 0 || dances > memory.rows() || !fits {
+        if count == 0 || count > cache.rows() || !fits {
             return Err(ModelError::Input {
                 what: "GPT steps",
                 expected: format!(
                     "1 to {} beside music of {} columns",
-                    memory.rows(),
+                    cache.rows(),
                     self.columns
                 ),
-                got: format!("{dances}, or music of another width"),
+                got: format!("{count}, or music of another width"),
             });
         }
-        let inputs = self.next_inputs(memory, next)?;
-        let present = &self.names.present;
-        let (logits, layers) = self.graph.run(inputs, &CancelToken::new(), |outputs| {
-            let newest = |outputs: &mut _, name| -> Result<Array2<f32>, ModelError> {
-                let logits = take_matrices(GRAPH, outputs, name, [dances, 1])?;
-                Ok(logits.index_axis_move(Axis(1), 0))
-            };
-            let logits = Logits {
-                upper: newest(outputs, "upper_logits")?,
-                lower: newest(outputs, "lower_logits")?,
-            };
-            let layers = present
-                .iter()
-                .map(|(key, value)| Ok([take(GRAPH, outputs, key)?, take(GRAPH, outputs, value)?]))
-                .collect::<Result<Vec<_>, ModelError>>()?;
-            Ok((logits, layers))
-        })?;
-        memory.append(GRAPH, 0..dances, 1, &layers)?;
-        Ok(logits)
-    }
-
-    fn next_inputs<'memory>(
-        &self,
-        memory: &'memory GptMemory,
-        next: &[NextStep<'_>],
-    ) -> Result<Inputs<'memory>, ModelError> {
-        let column = |number: &dyn Fn(usize, &NextStep<'_>) -> i64| {
-            let numbers = next.iter().enumerate().map(|(row, step)| number(row, step));
-            integer_columns(GRAPH, numbers.collect())
-        };
         let music: Vec<f32> = next.iter().flat_map(|step| step.music).copied().collect();
-        let music = ort::value::Tensor::from_array(([next.len(), 1, self.columns], music));
-        let bias = next_bias(memory, next.len());
-        let mut inputs: Inputs<'memory> = vec![
-            (
-                "upper".into(),
-                column(&|_, step| i64::from(step.upper))?.into(),
-            ),
-            (
-                "lower".into(),
-                column(&|_, step| i64::from(step.lower))?.into(),
-            ),
-            ("music".into(), tensor(GRAPH, music)?.into()),
+        let music = tensor(GRAPH, Tensor::from_array(([count, 1, self.columns], music)))?;
+        let positions = (0..count).map(|row| cache.steps(row) as i64);
+        let half = |half: usize| {
+            let codes = next.iter().map(|step| i64::from(step.codes[half]));
+            integers(GRAPH, count, codes)
+        };
+        let mut inputs: Inputs<'_> = vec![
+            ("upper".into(), half(0)?.into()),
+            ("lower".into(), half(1)?.into()),
+            ("music".into(), music.into()),
             (
                 "positions".into(),
-                column(&|row, _| memory.steps(row) as i64)?.into(),
+                integers(GRAPH, count, positions)?.into(),
             ),
-            ("attention_bias".into(), floats(GRAPH, bias.view())?.into()),
+            (
+                "attention_bias".into(),
+                floats(GRAPH, step_bias(cache, count).view())?.into(),
+            ),
         ];
-        let layers = memory.first(GRAPH, next.len())?;
-        for ((key_name, value_name), [key, value]) in self.names.past.iter().zip(layers) {
-            inputs.push((key_name.clone(), key.into()));
-            inputs.push((value_name.clone(), value.into()));
+        let layers = cache.first(GRAPH, count)?;
+        for (names, tensors) in self.names.past.iter().zip(layers) {
+            let named = names.iter().cloned().zip(tensors.map(Into::into));
+            inputs.extend(named);
         }
-        Ok(inputs)
+        let run = self.run(inputs, [count, 1])?;
+        run.append_to(cache, 0..count, 1)?;
+        Ok(run.logits)
     }
 
-    fn check(&self, steps: &Steps<'_>, cache: &KvCache) -> Result<usize, ModelError> {
-        let count = steps.upper.len();
-        if count == 0 || steps.lower.len() != count || steps.music.dim() != (count, self.columns) {
+    /// Runs steps of one sequence with nothing before them.
+    fn run_alone(&mut self, steps: Steps<'_>) -> Result<Run, ModelError> {
+        let count = steps.codes.len();
+        if count == 0 || steps.music.dim() != (count, self.columns) || count > self.block {
             return Err(ModelError::Input {
                 what: "GPT steps",
-                expected: format!("as many codes per half as rows of {} columns", self.columns),
-                got: format!(
-                    "{count} upper codes, {} lower codes, {:?} music",
-                    steps.lower.len(),
-                    steps.music.dim()
+                expected: format!(
+                    "1 to {} code pairs, and as many rows of {} columns",
+                    self.block, self.columns
                 ),
+                got: format!("{count} code pairs, {:?} music", steps.music.dim()),
             });
         }
-        if cache.steps + count > self.block {
-            return Err(ModelError::Input {
-                what: "GPT steps",
-                expected: format!("at most {} in a window", self.block),
-                got: format!("{} cached and {count} new", cache.steps),
-            });
-        }
-        Ok(count)
-    }
-
-    fn inputs<'cache>(
-        &self,
-        steps: Steps<'_>,
-        count: usize,
-        cache: &'cache KvCache,
-    ) -> Result<Inputs<'cache>, ModelError> {
-        let codes = |codes: &[u32]| integers(GRAPH, codes.iter().map(|&code| i64::from(code)));
-        let positions = (cache.steps..cache.steps + count).map(|row| row as i64);
-        let bias = attention_bias(cache.steps, count);
-        let music = steps.music.insert_axis(ndarray::Axis(0));
-        let mut inputs: Inputs<'cache> = vec![
-            ("upper".into(), codes(steps.upper)?.into()),
-            ("lower".into(), codes(steps.lower)?.into()),
+        let half = |half: usize| {
+            let codes = steps.codes.iter().map(|pair| i64::from(pair[half]));
+            integers(GRAPH, 1, codes)
+        };
+        let music = steps.music.insert_axis(Axis(0));
+        let mut inputs: Inputs<'_> = vec![
+            ("upper".into(), half(0)?.into()),
+            ("lower".into(), half(1)?.into()),
             ("music".into(), floats(GRAPH, music)?.into()),
-            ("positions".into(), integers(GRAPH, positions)?.into()),
-            ("attention_bias".into(), floats(GRAPH, bias.view())?.into()),
+            (
+                "positions".into(),
+                integers(GRAPH, 1, 0..count as i64)?.into(),
+            ),
+            (
+                "attention_bias".into(),
+                floats(GRAPH, prefill_bias(count).view())?.into(),
+            ),
         ];
-        for ((key_name, value_name), (key, value)) in self.names.past.iter().zip(&cache.layers) {
-            inputs.push((key_name.clone(), SessionInputValue::from(key)));
-            inputs.push((value_name.clone(), SessionInputValue::from(value)));
+        for name in self.names.past.iter().flatten() {
+            let shape = [1, self.heads, 0, self.head_size];
+            let empty = Tensor::<f32>::new(&Allocator::default(), shape);
+            inputs.push((name.clone(), tensor(GRAPH, empty)?.into()));
         }
-        Ok(inputs)
+        self.run(inputs, [1, count])
+    }
+
+    /// Runs the graph; `[batch, steps]` is the shape of its codes. The steps of the batch, or of
+    /// the one sequence in it, are the rows of the logits.
+    fn run(&mut self, inputs: Inputs<'_>, shape: [usize; 2]) -> Result<Run, ModelError> {
+        let names = &self.names.present;
+        self.graph.run(inputs, |outputs| {
+            let mut logits = |name| -> Result<Array2<f32>, ModelError> {
+                let logits = take_matrices(GRAPH, outputs, name, shape)?;
+                let (batch, steps, codes) = logits.dim();
+                let rows = logits.into_shape_with_order((batch * steps, codes));
+                rows.map_err(|e| ModelError::Run {
+                    graph: GRAPH,
+                    problem: one_line(&e),
+                })
+            };
+            let logits = Logits {
+                upper: logits("upper_logits")?,
+                lower: logits("lower_logits")?,
+            };
+            let present = names
+                .iter()
+                .map(|[key, value]| Ok([take(GRAPH, outputs, key)?, take(GRAPH, outputs, value)?]));
+            let present = present.collect::<Result<_, ModelError>>()?;
+            Ok(Run { logits, present })
+        })
     }
 }
 
-/// The cross-conditional causal mask for `count` new steps after `past` cached ones,
-/// `[1, 1, 3 count, 3 (past + count)]`: a token sees the whole cache, and of the new steps those up
-/// to its own in all three streams. For a single step nothing is hidden.
-fn attention_bias(past: usize, count: usize) -> Array4<f32> {
-    let cached = STREAMS * past;
-    Array4::from_shape_fn(
-        (1, 1, STREAMS * count, cached + STREAMS * count),
-        |(_, _, query, key)| match key.checked_sub(cached) {
-            Some(new) if new % count > query % count => HIDDEN,
-            _ => 0.0,
-        },
-    )
+/// The cross-conditional causal mask of `count` steps from position 0 on,
+/// `[1, 1, 3 count, 3 count]`: a token sees the steps up to its own in all three streams.
+fn prefill_bias(count: usize) -> Array4<f32> {
+    let tokens = STREAMS * count;
+    Array4::from_shape_fn((1, 1, tokens, tokens), |(_, _, query, key)| {
+        match key % count > query % count {
+            true => HIDDEN,
+            false => 0.0,
+        }
+    })
 }
 
-/// Hides the slots of the first rows of `memory` that are not filled, `[rows, 1, 3, tokens]`; the newest
-/// step's tokens are the last.
-fn next_bias(memory: &GptMemory, rows: usize) -> Array4<f32> {
-    let slots = memory.shape().tokens();
+/// Hides the slots of the first rows of `cache` that are not filled, `[rows, 1, 3, tokens]`; the
+/// newest step's tokens are the last.
+fn step_bias(cache: &KvCache, rows: usize) -> Array4<f32> {
+    let slots = cache.shape().tokens();
     Array4::from_shape_fn((rows, 1, STREAMS, slots + STREAMS), |(row, _, _, key)| {
-        let empty = STREAMS * memory.steps(row)..slots;
+        let empty = STREAMS * cache.steps(row)..slots;
         if empty.contains(&key) { HIDDEN } else { 0.0 }
     })
 }
@@ -393,23 +345,31 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_single_step_hides_nothing() {
-        assert!(attention_bias(7, 1).iter().all(|&bias| bias == 0.0));
+    fn a_prefill_repeats_the_triangle_over_streams() {
+        let bias = prefill_bias(4);
+        assert_eq!(bias.dim(), (1, 1, 12, 12));
+        for ((_, _, query, key), &bias) in bias.indexed_iter() {
+            let visible = key % 4 <= query % 4;
+            assert_eq!(bias == 0.0, visible, "query {query} key {key}");
+        }
     }
 
     #[test]
-    fn priming_repeats_the_triangle_over_streams() {
-        let bias = attention_bias(2, 4);
-        assert_eq!(bias.dim(), (1, 1, 12, 18));
-        for query in 0..12 {
-            for key in 0..18 {
-                let visible = key < 6 || (key - 6) % 4 <= query % 4;
-                assert_eq!(
-                    bias[[0, 0, query, key]] == 0.0,
-                    visible,
-                    "query {query} key {key}"
-                );
-            }
+    fn a_step_sees_the_filled_slots_and_itself() {
+        let shape = RowShape {
+            heads: 1,
+            steps: 2,
+            head_size: 1,
+        };
+        let mut cache = KvCache::new(2, 1, shape);
+        let present: &[f32] = &[0.0; 3];
+        let appended = cache.append(GRAPH, 1..2, 1, &[[present, present]]);
+        appended.unwrap();
+        let bias = step_bias(&cache, 2);
+        assert_eq!(bias.dim(), (2, 1, 3, 9));
+        for ((row, _, _, key), &bias) in bias.indexed_iter() {
+            let visible = key < 3 * row || key >= 6;
+            assert_eq!(bias == 0.0, visible, "row {row} key {key}");
         }
     }
 }

@@ -1,28 +1,40 @@
 //! Model directory, manifest and ONNX sessions: the only place that knows ONNX Runtime.
+//!
+//! ```
+//! use bailando_model::ModelDirectory;
+//!
+//! let directory = ModelDirectory::open("../../models/default".as_ref())?;
+//! let manifest = directory.manifest();
+//! assert_eq!(manifest.codes_per_second(), 7.5);
+//! # Ok::<(), bailando_model::ModelError>(())
+//! ```
+//!
+//! [`ModelDirectory`] then opens the graphs: [`Gpt`] with its [`KvCache`], [`Decoder`] and
+//! [`Encoder`].
 
+mod cache;
 mod directory;
 mod embedded;
 mod error;
 mod gpt;
 mod manifest;
-mod memory;
 mod runtime;
 mod session;
 mod suppressed;
 mod vqvae;
 
+pub use cache::KvCache;
 pub use directory::{ModelDirectory, file_sha256};
 pub use error::ModelError;
-pub use gpt::{Gpt, KvCache, Logits, NextStep, Steps};
+pub use gpt::{Gpt, Logits, NextStep, Steps};
 pub use manifest::{
     DecoderSpec, FORMAT_VERSION, FeatureSpec, FileEntry, GptSpec, MAX_CANDIDATES,
     MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, SamplingDefaults, Vocabulary,
     WeightStorage, WindowKind,
 };
-pub use memory::GptMemory;
 pub use runtime::LIBRARY_VARIABLE;
 pub use suppressed::SuppressedCodes;
-pub use vqvae::{Decoder, Encoder};
+pub use vqvae::{Decoder, Encoder, code_pairs};
 
 /// Whether a graph passes the checks of a model directory; for the fuzz target `graph`.
 #[doc(hidden)]

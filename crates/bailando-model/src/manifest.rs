@@ -134,15 +134,15 @@ pub struct SamplingDefaults {
     /// Codes to draw from; absent: all.
     #[serde(default)]
     pub top_k: Option<usize>,
-    /// How strongly the music's time is followed; absent: 1, as the model says.
+    /// How strongly the music's time is followed; absent: 1, as the model predicts.
     #[serde(default = "unguided", skip_serializing_if = "is_unguided")]
     pub guidance: f32,
-    /// Candidates for every phrase, of which that is taken whose beats lie nearest to the music's, less
-    /// its share of frames that stand still; absent: 1.
+    /// Candidates for every segment; the best is kept: its beats lie nearest to the music's, and few
+    /// of its frames stand still. Absent: 1.
     #[serde(default = "one_candidate", skip_serializing_if = "is_one_candidate")]
     pub candidates: usize,
-    /// Whether a phrase in which the dancer stands still is danced anew, where it may come out otherwise; absent: only
-    /// where there are several candidates.
+    /// Whether a segment in which the dancer stands still is generated again, where it may come out
+    /// otherwise. Absent: only where there are several candidates.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub redo: bool,
     /// How the window moves.
@@ -197,11 +197,11 @@ pub struct FileEntry {
     pub sha256: String,
 }
 
-/// Most count periods that a model may hear of.
+/// Most count periods that a model may be conditioned on.
 pub const MAX_COUNT_PERIODS: usize = 16;
 /// Highest temperature: beyond it every code is as likely as the next.
 pub const MAX_TEMPERATURE: f32 = 10.0;
-/// Most candidates for a phrase: the cost of a generation grows with them.
+/// Most candidates for a segment: the cost of a generation grows with them.
 pub const MAX_CANDIDATES: usize = 16;
 /// Highest guidance: beyond it little but noise is exaggerated.
 pub const MAX_GUIDANCE: f32 = 10.0;
@@ -213,7 +213,7 @@ const MAX_CHANNELS: usize = 16_384;
 const MAX_CODES: usize = 65_536;
 const MAX_RECEPTIVE_CODES: usize = 4096;
 const MAX_JOINTS: usize = 1024;
-/// What the GPT may remember of one dance; the published one takes 6 MiB.
+/// Most bytes of keys and values of one sequence; the published model has 6 MiB.
 const MAX_MEMORY_BYTES: u64 = 1 << 30;
 /// Files that every model directory has besides its manifest.
 const REQUIRED_FILES: [&str; 3] = ["gpt.onnx", "decoder.onnx", "encoder.onnx"];
@@ -262,7 +262,8 @@ impl Manifest {
         let periods = features.count_periods.len();
         if periods > MAX_COUNT_PERIODS || features.count_periods.contains(&0) {
             return Err(format!(
-                "features have {periods} count_periods, expected at most {MAX_COUNT_PERIODS}, none of them 0"
+                "features have {periods} count_periods, expected at most {MAX_COUNT_PERIODS}, \
+                 none of them 0"
             ));
         }
         // Counts are found with the current chain alone.
@@ -272,8 +273,8 @@ impl Manifest {
         let columns = COLUMNS + 2 * periods;
         if features.sample_rate != rate.hz() || features.hop != HOP || features.columns != columns {
             return Err(format!(
-                "features are {} columns every {} samples at {} Hz, this version computes {columns} \
-                 every {HOP} at {}",
+                "features are {} columns every {} samples at {} Hz, this version computes \
+                 {columns} every {HOP} at {}",
                 features.columns,
                 features.hop,
                 features.sample_rate,
@@ -322,7 +323,7 @@ impl Manifest {
         let memory = self.memory_bytes();
         if memory > MAX_MEMORY_BYTES {
             return Err(format!(
-                "gpt remembers {memory} bytes of every dance, expected at most {MAX_MEMORY_BYTES}"
+                "gpt has {memory} bytes of keys and values a sequence, expected at most {MAX_MEMORY_BYTES}"
             ));
         }
         let receptive = self.decoder.receptive_codes;
@@ -334,7 +335,7 @@ impl Manifest {
         Ok(())
     }
 
-    /// What the GPT remembers of a dance: keys and values of three streams, in float32.
+    /// Bytes of a sequence's keys and values: three streams, in float32.
     fn memory_bytes(&self) -> u64 {
         let GptSpec {
             block,

@@ -38,8 +38,8 @@ fn load() -> Result<Environment, String> {
         .map_err(|e| e.to_string())
 }
 
-/// Why the library was not loaded, and what to do where the system's loader, asked for the bare name, has not
-/// found it either.
+/// Says why the library was not loaded, and what to do where the system's loader, asked for the bare
+/// name, has not found it either.
 fn not_loaded(library: &Path, error: &LoadDynamicError) -> String {
     let LoadDynamicError::Dlopen { error, .. } = error else {
         return error.to_string();
@@ -76,8 +76,8 @@ fn file_name() -> String {
     format!("{}onnxruntime{}", consts::DLL_PREFIX, consts::DLL_SUFFIX)
 }
 
-/// The library to load: the variable, else the first of [`places`], else the bare name, which the loader looks
-/// for in the system's library folders.
+/// Finds the library to load: the variable, else the first of [`places`], else the bare name, which
+/// the loader looks for in the system's library folders.
 fn find_library() -> Result<PathBuf, String> {
     if let Some(chosen) = env::var_os(LIBRARY_VARIABLE).map(PathBuf::from) {
         return match chosen.is_file() {
@@ -100,8 +100,9 @@ fn find_library() -> Result<PathBuf, String> {
     }
 }
 
-/// Beside the executable, then the project's folder: that of any folder that the executable lies in, or of the
-/// working directory. Not of what the working directory lies in: anybody may put a library into `/tmp`.
+/// Lists the place beside the executable, then the project's folder in each folder that the
+/// executable lies in and in the working directory. Folders around the working directory are left
+/// out: anybody may put a library into `/tmp`.
 fn places(executable: Option<&Path>, working_directory: Option<&Path>) -> Vec<PathBuf> {
     let folder = executable.and_then(Path::parent);
     let around = folder.into_iter().flat_map(Path::ancestors);

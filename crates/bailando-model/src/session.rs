@@ -1,16 +1,15 @@
-//! One ONNX session, and a run that a cancel token can interrupt.
+//! One ONNX session and its runs.
 
-use std::{fmt, path::Path, sync::Arc};
+use std::{fmt, path::Path};
 
-use ndarray::{Array2, Array3, ArrayView, ArrayView2, Axis, Dimension, Ix3};
+use ndarray::{Array3, ArrayView, Dimension, Ix3};
 use ort::{
     ep,
-    session::{RunOptions, Session, SessionInputValue, SessionOutputs},
+    session::{Session, SessionInputValue, SessionOutputs},
     value::{DynValue, Tensor},
 };
 
 use super::{ModelError, embedded, runtime};
-use bailando_core::CancelToken;
 
 /// Named inputs of a run.
 pub(super) type Inputs<'value> = Vec<(String, SessionInputValue<'value>)>;
@@ -23,8 +22,8 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Loads the graph at `path`; `name` appears in errors. Where few shapes come again and again, their
-    /// memory is kept for the next run; else it would only grow.
+    /// Loads the graph at `path`; `name` appears in errors. With `keeps_memory`, the memory of a run
+    /// is kept for the next: it suits few shapes, and would grow with many.
     pub(super) fn open(
         name: &'static str,
         path: &Path,
@@ -75,60 +74,30 @@ impl Graph {
         })
     }
 
-    /// Runs the graph and hands its outputs to `read`. Cancellation interrupts the run.
+    /// Runs the graph and hands its outputs to `read`.
     pub(super) fn run<T>(
         &mut self,
         inputs: Inputs<'_>,
-        cancel: &CancelToken,
         read: impl FnOnce(&mut SessionOutputs<'_>) -> Result<T, ModelError>,
     ) -> Result<T, ModelError> {
         let graph = self.name;
-        let failed = |e: ort::Error| ModelError::Run {
+        let mut outputs = self.session.run(inputs).map_err(|e| ModelError::Run {
             graph,
             problem: one_line(&e),
-        };
-        let options = Arc::new(RunOptions::new().map_err(failed)?);
-        let guard = cancel.interruptible({
-            let options = Arc::clone(&options);
-            move || {
-                // The only failure is a null handle, which cannot be; the token is checked anyway.
-                let _ = options.terminate();
-            }
-        });
-        let result = self.session.run_with_options(inputs, &options);
-        drop(guard);
-        if cancel.is_cancelled() {
-            return Err(ModelError::Cancelled);
-        }
-        read(&mut result.map_err(failed)?)
+        })?;
+        read(&mut outputs)
     }
 }
 
-/// A tensor of 64-bit integers from rows of codes, `[rows, n]`.
-pub(super) fn integer_rows(
-    graph: &'static str,
-    values: ArrayView2<'_, u32>,
-) -> Result<DynValue, ModelError> {
-    let shape = [values.nrows(), values.ncols()];
-    let values: Vec<i64> = values.iter().map(|&value| i64::from(value)).collect();
-    tensor(graph, Tensor::from_array((shape, values)))
-}
-
-/// A tensor of 64-bit integers from codes or positions, `[1, n]`.
+/// A tensor of 64-bit integers, `[rows, n]`.
 pub(super) fn integers(
     graph: &'static str,
+    rows: usize,
     values: impl Iterator<Item = i64>,
 ) -> Result<DynValue, ModelError> {
     let values: Vec<i64> = values.collect();
-    tensor(graph, Tensor::from_array(([1, values.len()], values)))
-}
-
-/// A tensor of 64-bit integers, `[n, 1]`.
-pub(super) fn integer_columns(
-    graph: &'static str,
-    values: Vec<i64>,
-) -> Result<DynValue, ModelError> {
-    tensor(graph, Tensor::from_array(([values.len(), 1], values)))
+    let shape = [rows, values.len() / rows.max(1)];
+    tensor(graph, Tensor::from_array((shape, values)))
 }
 
 /// A tensor of floats that owns a copy of `values`.
@@ -163,17 +132,6 @@ pub(super) fn take(
         graph,
         problem: format!("it has no output named {name}"),
     })
-}
-
-/// Takes the named output `[1, rows, columns]` out of a run, as `[rows, columns]`.
-pub(super) fn take_matrix(
-    graph: &'static str,
-    outputs: &mut SessionOutputs<'_>,
-    name: &str,
-    rows: usize,
-) -> Result<Array2<f32>, ModelError> {
-    let array = take_matrices(graph, outputs, name, [1, rows])?;
-    Ok(array.index_axis_move(Axis(0), 0))
 }
 
 /// Takes the named output `[batch, rows, columns]` out of a run.

@@ -2,13 +2,12 @@
 
 use std::path::Path;
 
-use ndarray::{Array2, Array3, ArrayView2, Axis, Slice, aview1};
+use ndarray::{Array2, Array3, ArrayView2, Axis, Slice};
 
 use super::{
     Manifest, ModelError,
-    session::{Graph, floats, integer_rows, one_line, take, take_matrices},
+    session::{Graph, floats, integers, one_line, take, take_matrices},
 };
-use bailando_core::CancelToken;
 
 const DECODER: &str = "decoder.onnx";
 const ENCODER: &str = "encoder.onnx";
@@ -36,51 +35,48 @@ impl Decoder {
         })
     }
 
-    /// Decodes a run of code pairs at once: `[8 codes, columns]`, root velocity in columns 0..2 and
-    /// root-relative joints behind them, metres, in the manifest's frame: see
+    /// Decodes a sequence of code pairs: `[8 codes, columns]`, root velocity in columns 0..2 and
+    /// root-relative joints after them, metres, in the manifest's frame: see
     /// [`MotionFrame::into_world`](bailando_motion::MotionFrame::into_world). The ends see zero
-    /// padding, so a piece is decoded whole or in chunks that overlap by the manifest's receptive
+    /// padding, so a motion is decoded whole or in chunks that overlap by the manifest's receptive
     /// field.
     ///
     /// # Errors
-    /// [`ModelError::Input`] when the halves differ in length, [`ModelError::Cancelled`], or
-    /// [`ModelError::Run`].
-    pub fn decode(
-        &mut self,
-        upper: &[u32],
-        lower: &[u32],
-        cancel: &CancelToken,
-    ) -> Result<Array2<f32>, ModelError> {
-        let [upper, lower] = [upper, lower].map(|codes| aview1(codes).insert_axis(Axis(0)));
-        let motion = self.decode_batch(upper, lower, cancel)?;
+    /// [`ModelError::Input`] for no codes, or [`ModelError::Run`].
+    pub fn decode(&mut self, codes: &[[u32; 2]]) -> Result<Array2<f32>, ModelError> {
+        let motion = self.decode_batch(&[codes])?;
         Ok(motion.index_axis_move(Axis(0), 0))
     }
 
-    /// Decodes several runs of one length at once, `[runs, codes]` to `[runs, 8 codes, columns]`.
+    /// Decodes several sequences of one length at once, to `[sequences, 8 codes, columns]`.
     ///
     /// # Errors
-    /// As [`Decoder::decode`].
-    pub fn decode_batch(
-        &mut self,
-        upper: ArrayView2<'_, u32>,
-        lower: ArrayView2<'_, u32>,
-        cancel: &CancelToken,
-    ) -> Result<Array3<f32>, ModelError> {
-        if upper.is_empty() || upper.dim() != lower.dim() {
+    /// [`ModelError::Input`] for no codes or different lengths, or [`ModelError::Run`].
+    pub fn decode_batch(&mut self, sequences: &[&[[u32; 2]]]) -> Result<Array3<f32>, ModelError> {
+        let length = sequences.first().map_or(0, |codes| codes.len());
+        if length == 0 || sequences.iter().any(|codes| codes.len() != length) {
+            let lengths: Vec<usize> = sequences.iter().map(|codes| codes.len()).collect();
             return Err(ModelError::Input {
                 what: "pose codes",
-                expected: "as many upper as lower codes, at least one".into(),
-                got: format!("{} upper and {} lower", upper.len(), lower.len()),
+                expected: "sequences of one length, at least one code each".into(),
+                got: format!("lengths {lengths:?}"),
             });
         }
-        let (runs, codes) = upper.dim();
-        let expected = [runs, codes * self.frames_per_code];
+        let expected = [sequences.len(), length * self.frames_per_code];
         let columns = self.columns;
+        let half = |half: usize| {
+            let codes = sequences.iter().flat_map(|codes| codes.iter());
+            integers(
+                DECODER,
+                sequences.len(),
+                codes.map(|pair| i64::from(pair[half])),
+            )
+        };
         let inputs = vec![
-            ("upper".into(), integer_rows(DECODER, upper)?.into()),
-            ("lower".into(), integer_rows(DECODER, lower)?.into()),
+            ("upper".into(), half(0)?.into()),
+            ("lower".into(), half(1)?.into()),
         ];
-        self.graph.run(inputs, cancel, |outputs| {
+        self.graph.run(inputs, |outputs| {
             let motion = take_matrices(DECODER, outputs, "motion", expected)?;
             let (.., found) = motion.dim();
             if found != columns {
@@ -123,13 +119,9 @@ impl Encoder {
     /// ([`to_dancer_frame`](bailando_motion::to_dancer_frame)), without its last column.
     ///
     /// # Errors
-    /// [`ModelError::Input`] for another width or less than one code of frames,
-    /// [`ModelError::Cancelled`], or [`ModelError::Run`].
-    pub fn encode(
-        &mut self,
-        motion: ArrayView2<'_, f32>,
-        cancel: &CancelToken,
-    ) -> Result<(Vec<u32>, Vec<u32>), ModelError> {
+    /// [`ModelError::Input`] for another width or less than one code of frames, or
+    /// [`ModelError::Run`].
+    pub fn encode(&mut self, motion: ArrayView2<'_, f32>) -> Result<Vec<[u32; 2]>, ModelError> {
         let (frames, columns) = motion.dim();
         let whole = frames - frames % self.frames_per_code.max(1);
         if whole == 0 || columns != self.columns {
@@ -145,7 +137,7 @@ impl Encoder {
         let motion = motion.slice_axis(Axis(0), Slice::from(..whole));
         let motion = motion.insert_axis(Axis(0));
         let inputs = vec![("motion".into(), floats(ENCODER, motion)?.into())];
-        self.graph.run(inputs, cancel, |outputs| {
+        self.graph.run(inputs, |outputs| {
             let mut codes = |name: &str| -> Result<Vec<u32>, ModelError> {
                 let value = take(ENCODER, outputs, name)?;
                 let wrong = |problem: String| ModelError::Run {
@@ -160,7 +152,23 @@ impl Encoder {
                     .map(|&code| u32::try_from(code).map_err(|e| wrong(one_line(&e))))
                     .collect()
             };
-            Ok((codes("upper")?, codes("lower")?))
+            code_pairs(&codes("upper")?, &codes("lower")?)
         })
     }
+}
+
+/// Pairs of upper and lower codes from the two halves.
+///
+/// # Errors
+/// [`ModelError::Input`] when the halves differ in length.
+pub fn code_pairs(upper: &[u32], lower: &[u32]) -> Result<Vec<[u32; 2]>, ModelError> {
+    if upper.len() != lower.len() {
+        return Err(ModelError::Input {
+            what: "pose codes",
+            expected: "as many upper as lower codes".into(),
+            got: format!("{} upper and {} lower", upper.len(), lower.len()),
+        });
+    }
+    let pairs = upper.iter().zip(lower);
+    Ok(pairs.map(|(&upper, &lower)| [upper, lower]).collect())
 }

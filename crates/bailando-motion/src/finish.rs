@@ -140,7 +140,10 @@ impl Finisher {
     }
 
     /// Creates a finisher that releases the whole motion at its end.
-    fn whole(skeleton: &Skeleton, options: &FinishOptions) -> Result<Self, MotionError> {
+    ///
+    /// # Errors
+    /// As [`Finisher::new`].
+    pub fn whole(skeleton: &Skeleton, options: &FinishOptions) -> Result<Self, MotionError> {
         Self::with_floor(skeleton, options, FloorTracker::whole(options.fps))
     }
 

@@ -23,7 +23,7 @@ pub(super) enum Accepts {
     PositiveNumber,
     Boolean,
     /// The end of a dance.
-    Tail,
+    Continuation,
 }
 
 impl Accepts {
@@ -38,7 +38,7 @@ impl Accepts {
             Self::Number { most } => number().is_some_and(|value| (0.0..=most).contains(&value)),
             Self::PositiveNumber => number().is_some_and(|value| value > 0.0),
             Self::Boolean => text.parse::<bool>().is_ok(),
-            Self::Tail => text.parse::<Continuation>().is_ok(),
+            Self::Continuation => text.parse::<Continuation>().is_ok(),
         }
     }
 
@@ -54,7 +54,7 @@ impl Accepts {
             Self::Number { most } => of(Type::Number).minimum(Some(0)).maximum(Some(most)),
             Self::PositiveNumber => of(Type::Number).exclusive_minimum(Some(0)),
             Self::Boolean => of(Type::Boolean),
-            Self::Tail => of(Type::String).pattern(Some("^[A-Za-z0-9_-]{28,256}$")),
+            Self::Continuation => of(Type::String).pattern(Some("^[A-Za-z0-9_-]{28,256}$")),
         }
         .build()
     }
@@ -76,7 +76,7 @@ impl fmt::Display for Accepts {
             Self::Number { most } => write!(f, "a number from 0 to {most}"),
             Self::PositiveNumber => f.write_str("a number above 0"),
             Self::Boolean => f.write_str("true or false"),
-            Self::Tail => f.write_str("the `tail` that came with an earlier dance"),
+            Self::Continuation => f.write_str("the `tail` that came with an earlier dance"),
         }
     }
 }

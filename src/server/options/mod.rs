@@ -12,7 +12,9 @@ use super::error::ServerError;
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    formats::{BvhUnit, Continuation, Encoding, GeneratedMotion, JsonOptions, OutputFormat},
+    formats::{
+        BvhUnit, Continuation, Encoding, FormatError, GeneratedMotion, JsonOptions, OutputFormat,
+    },
     model::WindowKind,
 };
 
@@ -147,9 +149,8 @@ impl RequestOptions {
         &self,
         dance: &GeneratedMotion,
         format: OutputFormat,
-    ) -> crate::Result<Vec<u8>> {
-        let bytes = format.write(dance, &self.json(), self.bvh_unit.unwrap_or_default())?;
-        Ok(bytes)
+    ) -> Result<Vec<u8>, FormatError> {
+        format.write(dance, &self.json(), self.bvh_unit.unwrap_or_default())
     }
 
     /// The engine's part of the options.

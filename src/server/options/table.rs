@@ -101,7 +101,7 @@ pub(super) const OPTIONS: [OptionSpec; 20] = [
     OptionSpec {
         name: "continue_from",
         about: "The `tail` of an earlier dance of the same model: the new one goes on from its last pose, place and facing, so that clips chain. Excludes start_upper and start_lower.",
-        accepts: Accepts::Tail,
+        accepts: Accepts::Continuation,
         read: |options, text| put(&mut options.continue_from, text),
     },
     OptionSpec {

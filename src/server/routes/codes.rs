@@ -129,19 +129,23 @@ async fn shown(state: &SharedState, [upper, lower]: [u32; 2]) -> Result<Vec<u8>,
     let engine = Arc::clone(state.engine()?);
     state.admission.check_room()?;
     let permit = state.admission.admit().await?;
-    let show = move || {
+    let fps = engine.manifest().fps;
+    let metrics = Arc::clone(&state.metrics);
+    // A task of its own: the permit is held until the work has ended.
+    let shown = tokio::spawn(async move {
         let _permit = permit;
-        let positions = engine.pose(upper, lower).map_err(of_code)?;
-        let json = pose_json([upper, lower], engine.manifest().fps, &positions);
-        json.map_err(|error| ServerError::Dance(error.into()))
-    };
-    work::blocking(&state.metrics, || "codes", show).await
+        let positions = engine.pose([upper, lower]).await.map_err(of_code)?;
+        let json = move || Ok(pose_json([upper, lower], fps, &positions)?);
+        work::blocking(&metrics, "codes", json).await
+    });
+    let failed = |failed: tokio::task::JoinError| Err(ServerError::Internal(failed.to_string()));
+    shown.await.unwrap_or_else(failed)
 }
 
 /// The engine knows the codes as those that a dance starts with.
-fn of_code(error: crate::Error) -> ServerError {
+fn of_code(error: EngineError) -> ServerError {
     match error {
-        crate::Error::Engine(EngineError::Option { name, problem }) => ServerError::Option {
+        EngineError::Option { name, problem } => ServerError::Option {
             name: name.trim_start_matches("start_").to_owned(),
             problem,
         },

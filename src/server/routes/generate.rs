@@ -11,6 +11,7 @@ use axum::{
 use crate::{
     formats::{GeneratedMotion, MotionJson, OutputFormat, Timings},
     server::{
+        admission::Permit,
         body::IncomingBody,
         envelope::time_header,
         error::{ErrorBody, ServerError},
@@ -99,26 +100,18 @@ async fn render(
     let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
     let made = async {
         let permit = state.admission.admit_traced().await?;
-        order.hold_audio(state).await?;
-        let danced = work::dance(&state.metrics, order.work(), permit, "generate");
-        let work::Danced { dance, permit } = danced.await?;
+        let (dance, work) = work::dance(state, &mut order, permit, "generate").await?;
         let dance = Arc::new(dance);
         let (options, format) = (order.options.clone(), order.shape.format);
-        let body = work::write(
-            &state.metrics,
-            &order.watch,
-            Arc::clone(&dance),
-            options,
-            format,
-        )
-        .await?;
-        // Whoever reads slowly holds memory: the place to work in is free only once there is some.
+        let written = Arc::clone(&dance);
+        let body = work::write(&state.metrics, Some(&work), written, options, format).await?;
+        // Slow readers hold memory: the permit is free only once there is some.
         let room = state.room(body.len()).await?;
-        permit.danced();
+        work.end().into_iter().for_each(Permit::danced);
         Ok(Rendered::new(&dance, body, format, room))
     }
     .await;
-    order.presence.answered();
+    order.waiting.answered();
     made
 }
 

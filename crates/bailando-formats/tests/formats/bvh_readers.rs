@@ -10,7 +10,7 @@ use std::{
 
 use bailando_formats::{BvhUnit, GeneratedMotion, to_bvh};
 use bailando_motion::{FinishOptions, Positions, forward};
-use bailando_testkit::motion::{dance_of, decoded_from, distances, fixture, recordings};
+use bailando_testkit::motion::{dance_of, decoded_from, distances, recordings};
 use serde::Deserialize;
 
 use crate::motion;

@@ -1,4 +1,4 @@
-//! A job's life, from its order until nobody needs it any more.
+//! A job's life, from its order until its result is deleted.
 
 use std::{sync::Arc, time::Duration};
 
@@ -8,6 +8,7 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 use crate::{
     formats::GeneratedMotion,
     server::{
+        admission::Permit,
         error::ServerError,
         intake::Order,
         jobs::{Finished, Job, JobState},
@@ -38,7 +39,7 @@ pub(super) async fn live(
     let Order {
         options,
         shape,
-        presence,
+        waiting,
         ..
     } = order;
     job.turn(match done {
@@ -48,20 +49,17 @@ pub(super) async fn live(
             format: shape.format,
         })),
         Err(error) => {
-            if error.stops_work() {
-                job.watch.cancel.cancel();
-            }
             let report = error.report();
             state.metrics.rejected(report.error_type);
             JobState::Failed(report.repeated(&job.request_id))
         }
     });
-    presence.answered();
+    waiting.answered();
     keep(state, job, under_way).await;
 }
 
-/// Keeps what has become of a job for its time. A result that nobody could fetch would be lost: the server
-/// stops only when it was fetched, or when nobody asks for it any more.
+/// Keeps a job's result for its time. The server stops only when the result was fetched, or when
+/// its client no longer asks for it: it would be lost.
 async fn keep(state: SharedState, job: Arc<Job>, under_way: TaskTrackerToken) {
     let expiry = Instant::now() + state.limits.job_ttl.0;
     let wait = async {
@@ -103,11 +101,10 @@ async fn run(
     let _slot = state.job_slots.acquire().await?;
     let mut permit = state.admission.admit_patient().await?;
     permit.waited = ordered.elapsed();
-    order.hold_audio(state).await?;
     job.turn(JobState::Running);
-    let danced = work::dance(&state.metrics, order.work(), permit, "job").await?;
-    danced.permit.danced();
-    Ok(danced.dance)
+    let (dance, work) = work::dance(state, order, permit, "job").await?;
+    work.end().into_iter().for_each(Permit::danced);
+    Ok(dance)
 }
 
 #[cfg(test)]
@@ -120,13 +117,13 @@ mod tests {
         config::{Limits, Seconds},
         metrics::SharedMetrics,
         state::ServerState,
-        watch::Watch,
+        tracker::RequestTracker,
     };
 
     fn job(state: &SharedState) -> Arc<Job> {
         let metrics = Arc::clone(&state.metrics);
-        let watch = Watch::new(Arc::clone(&metrics));
-        Job::new(Client::Unknown, "id".to_owned(), watch, metrics)
+        let tracker = RequestTracker::new(Arc::clone(&metrics));
+        Job::new(Client::Unknown, "id".to_owned(), tracker, metrics)
     }
 
     #[tokio::test]
@@ -174,7 +171,7 @@ mod tests {
             job.fetched.cancel();
         };
         tokio::join!(kept, fetch);
-        // Counted anew, it would be 1.9 s.
+        // Counted from the fetch, it would be 1.9 s.
         assert!((time..time * 18 / 10).contains(&started.elapsed()));
     }
 }

@@ -28,7 +28,6 @@ use crate::{
         options::{AudioFile, GenerateForm, RequestOptions, shorten},
         routes::generate::Rendered,
         state::SharedState,
-        watch::Watch,
         work,
     },
 };
@@ -63,11 +62,11 @@ pub(crate) struct JobStatus {
 impl JobStatus {
     fn of(job: &Job) -> Self {
         let state = job.ask();
-        let (codes_done, codes_total) = job.watch.codes_done();
+        let (codes_done, codes_total) = job.tracker.codes_done();
         Self {
             id: job.id.to_string(),
             state: state.name(),
-            stage: matches!(state, JobState::Running).then(|| job.watch.phase().name()),
+            stage: matches!(state, JobState::Running).then(|| job.tracker.phase().name()),
             codes_done,
             codes_total,
             result: matches!(state, JobState::Done(_)).then(|| format!("/jobs/{}/result", job.id)),
@@ -141,11 +140,11 @@ pub(crate) async fn create(
     let job = Job::new(
         client,
         id,
-        Arc::clone(&order.watch),
+        Arc::clone(&order.tracker),
         Arc::clone(&state.metrics),
     );
     if let Err(full) = state.jobs.put(Arc::clone(&job)) {
-        order.presence.answered();
+        order.waiting.answered();
         return Err(full);
     }
     let location = format!("/jobs/{}", job.id);
@@ -261,9 +260,8 @@ pub(crate) async fn result(
     let under_way = state.lifecycle.go_on();
     let rendered = state.in_time(async {
         let _writer = state.writers.acquire().await?;
-        let watch = Watch::new(Arc::clone(&state.metrics));
         let dance = Arc::clone(&finished.dance);
-        let body = work::write(&state.metrics, &watch, dance, options, format).await?;
+        let body = work::write(&state.metrics, None, dance, options, format).await?;
         let room = state.room(body.len()).await?;
         Ok(Rendered::new(&finished.dance, body, format, room))
     });

@@ -2,7 +2,7 @@
 
 mod sender;
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use axum::{
     extract::{Request, State},
@@ -14,8 +14,9 @@ use tracing::Instrument;
 
 use self::sender::{Event, Forward, Sender};
 use crate::{
-    engine::Opening,
+    engine::{Generation, Opening},
     server::{
+        admission::Permit,
         body::IncomingBody,
         envelope::request_id,
         error::{ErrorBody, ServerError},
@@ -26,6 +27,7 @@ use crate::{
         room::Share,
         routes::generate::{SEED, times},
         state::SharedState,
+        tracker::Work,
         warnings, work,
     },
 };
@@ -139,41 +141,36 @@ async fn open(
             room,
         }),
         Err(error) => {
-            order.presence.answered();
+            order.waiting.answered();
             Err(error)
         }
     }
 }
 
-/// Waits for a place to work in, lets the work begin there, and waits until it says what the dance will be.
+/// Waits for a permit, submits the request, and waits until the engine knows what the motion will
+/// be.
 async fn begin(
     state: &SharedState,
     order: &mut Order,
     until: Instant,
 ) -> Result<(Opening, mpsc::UnboundedReceiver<Event>, Share), ServerError> {
     let permit = state.admission.admit_traced().await?;
-    order.hold_audio(state).await?;
+    let waited = permit.waited;
+    let (request, work) = order.begin(state, permit).await?;
     let room = state.room(most_bytes(state, order)).await?;
     let (sender, mut events) = mpsc::unbounded_channel();
-    let listener = Arc::new(Forward {
-        watch: Arc::clone(&order.watch),
-        waited: permit.waited,
+    let stream = Arc::new(Forward {
+        waited,
         sender: sender.clone(),
     });
-    let work = order.work();
-    let shared = Arc::clone(state);
-    let run = async move {
-        let work = work::stream(&shared.metrics, work, permit, listener);
-        let ended = tokio::select! {
-            ended = tokio::time::timeout_at(until, work) => {
-                ended.unwrap_or_else(|_| Err(shared.timeout()))
-            }
-            () = shared.lifecycle.aborted() => Err(shared.draining()),
-        };
-        // Nobody listens where the client has gone.
-        let _ = sender.send(Event::Ended(Box::new(ended)));
+    let generation = order.engine.submit(request.streamed_to(stream));
+    let run = Run {
+        state: Arc::clone(state),
+        work,
+        sender,
+        until,
     };
-    tokio::spawn(run.in_current_span());
+    tokio::spawn(run.to_end(generation, waited).in_current_span());
     match events.recv().await {
         Some(Event::Opened(opening)) => Ok((*opening, events, room)),
         Some(Event::Ended(ended)) => Err(match *ended {
@@ -181,6 +178,42 @@ async fn begin(
             Ok(_) => ServerError::Internal("a dance ended before it began".to_owned()),
         }),
         _ => Err(ServerError::Internal("a dance did not begin".to_owned())),
+    }
+}
+
+/// Follows a streamed generation to its end, whether or not its events are read meanwhile.
+struct Run {
+    state: SharedState,
+    work: Arc<Work>,
+    sender: mpsc::UnboundedSender<Event>,
+    until: Instant,
+}
+
+impl Run {
+    /// Sends the end as the last event. A generation that is out of time, that the server gives
+    /// up, or that has no reader any more, is dropped and thereby cancelled at once.
+    async fn to_end(self, generation: Generation, waited: Duration) {
+        let Self {
+            state,
+            work,
+            sender,
+            until,
+        } = self;
+        let finished = work::finished(&state.metrics, generation, work.tracker(), waited, "stream");
+        let ended = tokio::select! {
+            finished = tokio::time::timeout_at(until, finished) => match finished {
+                Ok(finished) => {
+                    let permit = work.end().filter(|_| finished.is_ok());
+                    permit.into_iter().for_each(Permit::danced);
+                    finished
+                }
+                Err(_) => Err(state.timeout()),
+            },
+            () = state.lifecycle.aborted() => Err(state.draining()),
+            () = sender.closed() => return,
+        };
+        // The reader may have gone meanwhile.
+        let _ = sender.send(Event::Ended(Box::new(ended)));
     }
 }
 

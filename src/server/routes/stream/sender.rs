@@ -1,6 +1,6 @@
 //! The events of a stream, made of what the work tells when the connection asks for them.
 
-use std::{sync::Arc, time::Duration};
+use std::time::Duration;
 
 use bytes::Bytes;
 use futures_util::{Stream, stream};
@@ -9,51 +9,37 @@ use tokio::{sync::mpsc, time::Instant};
 
 use super::Opened;
 use crate::{
-    engine::{Ending, Listener, Opening, Progress, Stage},
-    formats::{FormatError, JsonOptions, Start, done_event, frames_event, start_event},
+    engine::{EngineError, GenerationOutput, MotionStream, Opening},
+    formats::{JsonOptions, Start, done_event, frames_event, start_event},
     motion::{Finished, Finisher, MotionError},
     server::{
         error::{ErrorEvent, ServerError},
         room::Share,
         state::SharedState,
-        watch::{Presence, Watch},
+        tracker::Waiting,
         work,
     },
 };
 
-/// What the work tells the answer. All of a dance fits into the share of answers that is held for it.
+/// Messages of the work to the answer. All of a dance fits into the answer memory that is reserved
+/// for it.
 pub(super) enum Event {
     Opened(Box<Opening>),
     Frames(Array2<f32>),
-    Ended(Box<Result<Ending, ServerError>>),
+    Ended(Box<Result<GenerationOutput, ServerError>>),
 }
 
 /// Passes on what the engine tells.
 pub(super) struct Forward {
-    pub(super) watch: Arc<Watch>,
     /// Time spent waiting for a place to work in.
     pub(super) waited: Duration,
     pub(super) sender: mpsc::UnboundedSender<Event>,
 }
 
-impl Progress for Forward {
-    fn stage(&self, stage: Stage) {
-        self.watch.stage(stage);
-    }
-
-    fn decoded(&self, seconds: f64) {
-        self.watch.decoded(seconds);
-    }
-
-    fn codes(&self, done: usize, total: usize) {
-        self.watch.codes(done, total);
-    }
-}
-
-impl Listener for Forward {
+impl MotionStream for Forward {
     fn opened(&self, mut opening: Opening) {
         opening.timings.queue += self.waited;
-        // Nobody listens where the client has gone; the work is cancelled then.
+        // The client may have gone: the work is cancelled then.
         let _ = self.sender.send(Event::Opened(Box::new(opening)));
     }
 
@@ -82,7 +68,7 @@ impl Writer {
     }
 }
 
-/// Makes the next event when the connection asks for it: who reads slowly slows nobody else.
+/// Makes the next event when the connection asks for it: a slow reader slows nobody else.
 pub(super) struct Sender {
     writer: Writer,
     json: JsonOptions,
@@ -95,7 +81,7 @@ pub(super) struct Sender {
     sent: usize,
     /// Making frames of decoded motion, all together.
     motion: Duration,
-    presence: Option<Presence>,
+    waiting: Option<Waiting>,
     _held: (Box<dyn Send>, Share),
 }
 
@@ -117,7 +103,7 @@ impl Sender {
             lines: order.shape.lines,
         };
         let json = order.options.json();
-        let start = start_event(&start_of(&opening), &json).map_err(of_format)?;
+        let start = start_event(&start_of(&opening), &json)?;
         Ok(Self {
             writer,
             json,
@@ -128,7 +114,7 @@ impl Sender {
             finisher: Some(opening.finisher),
             sent: 0,
             motion: Duration::ZERO,
-            presence: Some(order.presence),
+            waiting: Some(order.waiting),
             _held: (Box::new(under_way), room),
         })
     }
@@ -152,8 +138,9 @@ impl Sender {
             Err(error) => {
                 let report = error.report();
                 self.state.metrics.rejected(report.error_type);
-                // Stops the work, if it goes on still.
-                self.presence = None;
+                // Stops the work, if it has not ended.
+                self.events.close();
+                self.waiting = None;
                 let event = ErrorEvent::new(&report, &self.request_id);
                 let json = serde_json::to_vec(&event).unwrap_or_default();
                 (self.writer.event("error", &json), false)
@@ -171,7 +158,7 @@ impl Sender {
                     }
                 }
                 Some(Event::Ended(ended)) => match *ended {
-                    Ok(ending) => return self.end(ending).await,
+                    Ok(output) => return self.end(output).await,
                     Err(error) => {
                         if !error.stops_work() {
                             self.answered();
@@ -186,20 +173,20 @@ impl Sender {
     }
 
     /// The last frames and the end of the dance, in one piece: they are few.
-    async fn end(&mut self, ending: Ending) -> Result<(Bytes, bool), ServerError> {
+    async fn end(&mut self, output: GenerationOutput) -> Result<(Bytes, bool), ServerError> {
         let frames = self.finish(Finisher::end).await?;
         let mut last = frames.map_or_else(Vec::new, Vec::from);
-        let mut timings = ending.timings;
+        let mut timings = output.timings;
         timings.motion = self.motion;
         self.state.metrics.stage("motion", self.motion);
-        let done = done_event(self.sent, &ending.codes, ending.tail.as_ref(), timings);
-        last.extend(self.writer.event("done", &done.map_err(of_format)?));
+        let done = done_event(self.sent, &output.codes, output.tail.as_ref(), timings);
+        last.extend(self.writer.event("done", &done?));
         self.answered();
         Ok((last.into(), false))
     }
 
-    /// Makes frames of decoded motion, and an event of them if there are any. Runs on a blocking thread:
-    /// rotations, the floor and the text of some seconds.
+    /// Finishes decoded motion, and makes an event of the frames if there are any. Runs on a blocking
+    /// thread: rotations, the floor and the text of some seconds.
     async fn finish(
         &mut self,
         make: impl FnOnce(&mut Finisher) -> Result<Finished, MotionError> + Send + 'static,
@@ -211,18 +198,18 @@ impl Sender {
         let started = Instant::now();
         let finish = move || {
             let _entered = span.entered();
-            let part = make(&mut finisher).map_err(crate::Error::from)?;
+            let part = make(&mut finisher).map_err(EngineError::from)?;
             let count = part.animation.root.len();
             let event = match count {
                 0 => None,
                 _ => {
-                    let frames = frames_event(&part, sent, &json).map_err(of_format)?;
+                    let frames = frames_event(&part, sent, &json)?;
                     Some(writer.event("frames", &frames))
                 }
             };
             Ok((finisher, count, event))
         };
-        let finished = work::blocking(&self.state.metrics, || "motion", finish).await;
+        let finished = work::blocking(&self.state.metrics, "motion", finish).await;
         self.motion += started.elapsed();
         let (finisher, count, event) = finished?;
         self.finisher = Some(finisher);
@@ -231,8 +218,8 @@ impl Sender {
     }
 
     fn answered(&mut self) {
-        if let Some(presence) = self.presence.take() {
-            presence.answered();
+        if let Some(waiting) = self.waiting.take() {
+            waiting.answered();
         }
     }
 }
@@ -249,8 +236,4 @@ fn start_of(opening: &Opening) -> Start<'_> {
         warnings: &opening.warnings,
         positions_source: opening.positions_source,
     }
-}
-
-fn of_format(error: FormatError) -> ServerError {
-    ServerError::Dance(error.into())
 }
