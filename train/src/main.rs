@@ -3,6 +3,7 @@
 use std::{
     io::{self, Write},
     process::ExitCode,
+    thread,
 };
 
 use bailando_train::{
@@ -10,6 +11,10 @@ use bailando_train::{
     training::StopFlag,
 };
 use clap::Parser;
+use signal_hook::{
+    consts::{SIGHUP, SIGINT, SIGTERM},
+    iterator::Signals,
+};
 
 /// Raised by SIGINT, SIGTERM and SIGHUP.
 static STOP: StopFlag = StopFlag::new();
@@ -20,13 +25,7 @@ const INTERRUPTED: u8 = 130;
 /// interrupted.
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let handler = ctrlc::set_handler(|| {
-        // Between steps, and the second time, there is nothing to wait for.
-        if !STOP.request() {
-            std::process::exit(INTERRUPTED.into());
-        }
-    });
-    let done = handler
+    let done = stop_on_signals()
         .map_err(anyhow::Error::from)
         .and_then(|()| run(arguments, Some(&STOP), &mut io::stdout().lock()));
     match done {
@@ -38,4 +37,18 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Raises the flag at every signal, on a thread of its own. Between steps, and the second time,
+/// there is nothing to wait for.
+fn stop_on_signals() -> io::Result<()> {
+    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP])?;
+    thread::spawn(move || {
+        for _ in &mut signals {
+            if !STOP.request() {
+                std::process::exit(INTERRUPTED.into());
+            }
+        }
+    });
+    Ok(())
 }

@@ -1,6 +1,14 @@
 //! The graphs serve any batch: a batch of two equals two single runs.
 
-use crate::common;
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "helpers of tests: failing loudly is their job"
+)]
+
+#[expect(dead_code, reason = "the helpers of the other tests")]
+mod common;
+
 use std::{
     env::consts::{DLL_PREFIX, DLL_SUFFIX},
     path::{Path, PathBuf},
@@ -10,7 +18,7 @@ use std::{
 use bailando::model::WeightStorage;
 use bailando_train::onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph};
 
-use crate::common::{HEADS, fixture, floats, gpt, rows, vqvae};
+use common::{HEADS, fixture, floats, gpt, rows, vqvae};
 use ndarray::Array2;
 use ort::{environment::Environment, session::Session, value::Tensor};
 

@@ -1,4 +1,4 @@
-//! All integration tests of the trainer: one binary, for each links everything.
+//! The integration tests of the trainer but `batch`: one binary, for each links everything.
 
 #![allow(
     clippy::unwrap_used,
@@ -10,7 +10,6 @@ mod common;
 #[path = "../src/data/testing.rs"]
 mod testing;
 
-mod batch;
 mod batching;
 mod check_data;
 mod codebook;
