@@ -11,8 +11,8 @@ const FIRST_CHUNK: usize = 24;
 /// decoded while the model still chooses codes, and during the last one it has nothing left to do.
 const LAST_CHUNK: usize = 96;
 
-/// The order in which codes are decoded. It depends on the number of codes alone, so that a motion does not depend
-/// on what else is computed meanwhile.
+/// The order in which codes are decoded. It depends on the number of codes alone, so that a motion
+/// does not depend on what else is computed meanwhile.
 ///
 /// The codes that the decoder sees on either side of a chunk are decoded with it and dropped again;
 /// only the motion's own ends see the zero padding (ARCHITECTURE section 2).

@@ -3,7 +3,8 @@
 use std::{
     pin::Pin,
     sync::Arc,
-    task::{Context, Poll, ready},
+    task::{Context, Poll, Wake, ready},
+    thread::{self, Thread},
 };
 
 use parking_lot::Mutex;
@@ -25,12 +26,15 @@ impl<T> Pending<T> {
     ///
     /// # Errors
     /// Any [`EngineError`].
-    ///
-    /// # Panics
-    /// On a thread that runs asynchronous tasks.
-    pub fn wait(self) -> Result<T, EngineError> {
-        let received = self.0.blocking_recv();
-        received.unwrap_or(Err(EngineError::Stopped))
+    pub fn wait(mut self) -> Result<T, EngineError> {
+        let waker = Arc::new(Unpark(thread::current())).into();
+        let mut context = Context::from_waker(&waker);
+        loop {
+            match Pin::new(&mut self).poll(&mut context) {
+                Poll::Ready(result) => return result,
+                Poll::Pending => thread::park(),
+            }
+        }
     }
 
     pub(super) fn ready(result: Result<T, EngineError>) -> Self {
@@ -38,6 +42,15 @@ impl<T> Pending<T> {
         // The receiver is right here.
         let _ = sender.send(result);
         Self(receiver)
+    }
+}
+
+/// Wakes a thread that waits.
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
     }
 }
 

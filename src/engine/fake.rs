@@ -89,10 +89,10 @@ fn failure(problem: &str) -> ModelError {
 }
 
 fn logits(window: &[[u32; 2]], music: ArrayView1<'_, f32>, half: usize) -> Vec<f32> {
-    let bits: Vec<u32> = music.iter().map(|value| value.to_bits()).collect();
+    let bits = [music[0], music[1]].map(f32::to_bits);
     let logit = |code: usize| {
         let mut hasher = DefaultHasher::new();
-        (window, &bits, half, code).hash(&mut hasher);
+        (window, bits, half, code).hash(&mut hasher);
         (hasher.finish() % 1000) as f32 / 250.0
     };
     (0..VOCABULARY).map(logit).collect()
@@ -108,9 +108,8 @@ impl CodeModel for FakeModel {
     }
 
     fn copy(&mut self, from: Range<usize>, to: usize) {
-        for (place, row) in self.rows[from].to_vec().into_iter().enumerate() {
-            self.rows[to + place] = row;
-        }
+        let rows = self.rows[from.clone()].to_vec();
+        self.rows[to..to + from.len()].clone_from_slice(&rows);
     }
 
     fn prefill(&mut self, row: usize, steps: Steps<'_>) -> Result<(), ModelError> {

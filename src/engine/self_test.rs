@@ -28,8 +28,8 @@ pub(crate) fn test_window(
 ) -> Result<(), EngineError> {
     let sizes = [manifest.vocabulary.upper, manifest.vocabulary.lower];
     let context = manifest.gpt.context;
-    let pair = |step: usize| sizes.map(|size| if step % 2 == 0 { size - 1 } else { 0 } as u32);
-    let codes: Vec<_> = (0..context).map(pair).collect();
+    let (first, last) = ([0; 2], sizes.map(|size| (size - 1) as u32));
+    let codes: Vec<_> = [last, first].into_iter().cycle().take(context).collect();
     let music = Array2::zeros((context, manifest.features.columns));
     let (newest, before) = (codes[context - 1], &codes[..context - 1]);
     model.clear(0);

@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sliding_always_holds_the_context_and_reprefills() {
+    fn sliding_always_holds_the_context_and_prefills_again() {
         let window = Window::new(WindowKind::Sliding, 15, 28);
         for step in 0..27 {
             assert_eq!(window.length(step), step + 1);

@@ -312,6 +312,10 @@ fn output(options: &GenerationOptions) -> GenerationOutput {
         upper: vec![u32::try_from(seed % 512).unwrap()],
         lower: vec![3],
     };
+    let before = Codes {
+        upper: vec![1],
+        lower: vec![2],
+    };
     GenerationOutput {
         seed,
         motion: MotionOutput::Finished(Finished {
@@ -323,7 +327,7 @@ fn output(options: &GenerationOptions) -> GenerationOutput {
             positions: positions(),
             source: PositionsSource::Decoder,
         }),
-        tail: Some(Continuation::new("0123", codes.clone(), [0.0; 2], 0.0)),
+        tail: Some(Continuation::new("0123", before, [0.0; 2], 0.0)),
         codes,
         music: options.music.then(|| MusicInfo {
             tempo_bpm: 120.0,

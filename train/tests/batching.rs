@@ -170,7 +170,7 @@ fn what_does_not_fit_into_the_batch_is_refused() {
         };
         engine.check(&options).err()
     };
-    assert_eq!(refused(3, 1.0), None);
+    assert!(refused(3, 1.0).is_none());
     for (candidates, guidance) in [(4, 1.0), (2, 2.0)] {
         let error = refused(candidates, guidance).unwrap();
         let EngineError::Option { name, .. } = error else {

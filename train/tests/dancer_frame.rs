@@ -2,7 +2,7 @@
 //! model with a root's decoder that turns as well.
 
 use crate::common;
-use std::{fs, path::Path, sync::Arc};
+use std::{fs, path::Path};
 
 use crate::common::{assert_close, gpt, options, vqvae};
 use bailando::{

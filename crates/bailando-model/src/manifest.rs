@@ -137,8 +137,8 @@ pub struct SamplingDefaults {
     /// How strongly the music's time is followed; absent: 1, as the model predicts.
     #[serde(default = "unguided", skip_serializing_if = "is_unguided")]
     pub guidance: f32,
-    /// Candidates for every segment; the best is kept: its beats lie nearest to the music's, and few
-    /// of its frames stand still. Absent: 1.
+    /// Candidates for every segment; the best is kept: its beats lie nearest to the music's, and
+    /// few of its frames stand still. Absent: 1.
     #[serde(default = "one_candidate", skip_serializing_if = "is_one_candidate")]
     pub candidates: usize,
     /// Whether a segment in which the dancer stands still is generated again, where it may come out
@@ -323,7 +323,8 @@ impl Manifest {
         let memory = self.memory_bytes();
         if memory > MAX_MEMORY_BYTES {
             return Err(format!(
-                "gpt has {memory} bytes of keys and values a sequence, expected at most {MAX_MEMORY_BYTES}"
+                "gpt has {memory} bytes of keys and values a sequence, expected at most \
+                 {MAX_MEMORY_BYTES}"
             ));
         }
         let receptive = self.decoder.receptive_codes;

@@ -38,8 +38,8 @@ fn load() -> Result<Environment, String> {
         .map_err(|e| e.to_string())
 }
 
-/// Says why the library was not loaded, and what to do where the system's loader, asked for the bare
-/// name, has not found it either.
+/// Says why the library was not loaded, and what to do where the system's loader, asked for the
+/// bare name, has not found it either.
 fn not_loaded(library: &Path, error: &LoadDynamicError) -> String {
     let LoadDynamicError::Dlopen { error, .. } = error else {
         return error.to_string();

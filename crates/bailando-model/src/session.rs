@@ -22,8 +22,8 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Loads the graph at `path`; `name` appears in errors. With `keeps_memory`, the memory of a run
-    /// is kept for the next: it suits few shapes, and would grow with many.
+    /// Loads the graph at `path`; `name` appears in errors. With `keeps_memory`, the memory of a
+    /// run is kept for the next: it suits few shapes, and would grow with many.
     pub(super) fn open(
         name: &'static str,
         path: &Path,

@@ -170,7 +170,7 @@ async fn begin(
         sender,
         until,
     };
-    tokio::spawn(run.to_end(generation, waited).in_current_span());
+    tokio::spawn(run.until_the_end(generation, waited).in_current_span());
     match events.recv().await {
         Some(Event::Opened(opening)) => Ok((*opening, events, room)),
         Some(Event::Ended(ended)) => Err(match *ended {
@@ -192,7 +192,7 @@ struct Run {
 impl Run {
     /// Sends the end as the last event. A generation that is out of time, that the server gives
     /// up, or that has no reader any more, is dropped and thereby cancelled at once.
-    async fn to_end(self, generation: Generation, waited: Duration) {
+    async fn until_the_end(self, generation: Generation, waited: Duration) {
         let Self {
             state,
             work,
