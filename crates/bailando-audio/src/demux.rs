@@ -180,6 +180,7 @@ impl Demuxer {
         &mut self,
         request: &DecodeRequest<'_>,
     ) -> Result<Option<Packet>, AudioError> {
+        request.deadline.check()?;
         self.read_ahead(request)?;
         let Some((packet, state)) = self.ahead.pop_front() else {
             self.state = self.reader_state;

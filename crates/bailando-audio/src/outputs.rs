@@ -99,7 +99,6 @@ impl Outputs {
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests stop where something is wrong")]
 mod tests {
     use super::*;
     use crate::resample::resample;

@@ -177,7 +177,6 @@ impl<'a> Sink<'a> {
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests stop where something is wrong")]
 mod tests {
     use bailando_core::CancelToken;
 

@@ -98,6 +98,10 @@ fn first_frame(file: &[u8]) -> usize {
 fn flac_frames_lost_in_front_become_silence_and_keep_the_time() {
     let whole = decode(fixture("demo.flac"), &[32_000]).unwrap();
     let start = first_frame(&fixture("demo.flac"));
+    let block = usize::from(u16::from_be_bytes([
+        fixture("demo.flac")[8],
+        fixture("demo.flac")[9],
+    ]));
     // Inside the first frame; its header; the headers of several frames.
     for damaged in [
         start + 100..start + 140,
@@ -112,9 +116,9 @@ fn flac_frames_lost_in_front_become_silence_and_keep_the_time() {
         println!("{damaged:?}: {} s, {:?}", song.duration_s, song.warnings);
         assert!(song.warnings[0].contains("silence"));
         assert_eq!(song.duration_s, 30.0);
-        assert_eq!(song.signals[0][..4_096], [0.0; 4_096]);
+        assert!(song.signals[0][..block].iter().all(|&sample| sample == 0.0));
         let tail = 5 * 32_000;
-        assert_eq!(song.signals[0][tail..], whole.signals[0][tail..]);
+        assert!(song.signals[0][tail..] == whole.signals[0][tail..]);
     }
 }
 
