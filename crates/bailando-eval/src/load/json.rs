@@ -80,10 +80,13 @@ mod tests {
         }
     }
 
+    fn document(fps: u32, frames: u32, positions: serde_json::Value) -> serde_json::Value {
+        json!({"fps": fps, "frames": frames, "positions": positions})
+    }
+
     #[test]
     fn errors_say_what_does_not_fit() {
         let one = json!([vec![[0.0; 3]; JOINTS]]);
-        let document = |fps: u32, frames: u32, positions: serde_json::Value| serde_json::json!({"fps": fps, "frames": frames, "positions": positions});
         for (text, words) in [
             (document(30, 1, one.clone()), "30 frames a second"),
             (document(60, 2, one), "72 numbers"),
