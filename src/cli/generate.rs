@@ -11,14 +11,13 @@ use std::{
 use anyhow::Context;
 use bailando::{
     CancelToken,
-    audio::{AudioLimits, AudioRange},
-    engine::{Choreographer, EngineConfig, GenerationOptions, MAX_CANDIDATES},
-    formats::{Codes, Dance, Tail},
-    model::WindowKind,
+    audio::AudioLimits,
+    engine::{Choreographer, EngineConfig, MAX_CANDIDATES},
+    formats::{Codes, Dance, OutputFormat},
     motion,
     npy::read_array,
+    options::RequestOptions,
 };
-use clap::{ArgAction, ValueEnum};
 use ndarray::Array2;
 
 use super::{
@@ -44,77 +43,6 @@ pub(super) struct GenerateArgs {
     /// Threads that compute one step of the model [default: all cores]
     #[arg(long, env = "BAILANDO_THREADS")]
     threads: Option<NonZeroUsize>,
-    #[command(flatten)]
-    sampling: SamplingArgs,
-    /// The `tail` in the JSON of an earlier dance, from whose end the new one goes on
-    #[arg(long, value_name = "TAIL")]
-    continue_from: Option<Tail>,
-    #[command(flatten)]
-    song: SongArgs,
-    #[command(flatten)]
-    rows: RowsArgs,
-}
-
-/// How the dance is chosen; what is absent is the model's own default.
-#[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Sampling")]
-struct SamplingArgs {
-    /// The same seed and song give the same dance; drawn if absent
-    #[arg(long)]
-    seed: Option<u64>,
-    /// 0 takes the most likely code, as in the paper; higher is freer
-    #[arg(long)]
-    temperature: Option<f32>,
-    /// Draw from this many most likely codes only
-    #[arg(long)]
-    top_k: Option<usize>,
-    /// How strongly the dance follows the music's beat: 1 as the model says, above it more so,
-    /// below it less; other than 1 costs twice as much
-    #[arg(long)]
-    guidance: Option<f32>,
-    /// Candidates for every two to four seconds of dance, of which that is taken whose beats lie
-    /// nearest to the music's, less its share of frames that stand still; the cost grows with them.
-    /// One with --features, which tell no beats
-    #[arg(long)]
-    candidates: Option<usize>,
-    /// Whether two to four seconds of dance in which the dancer stands still (of several candidates
-    /// also: goes to the ground) are danced anew, up to three times and with at most 12 candidates
-    /// in all [default: the model's, and true with several candidates]
-    #[arg(long, value_name = "BOOL")]
-    redo: Option<bool>,
-    /// First pose code of the upper body
-    #[arg(long)]
-    start_upper: Option<u32>,
-    /// First pose code of the lower body
-    #[arg(long)]
-    start_lower: Option<u32>,
-    /// How the window of past codes moves: hop is fast, sliding is what the paper's code does
-    #[arg(long, value_enum)]
-    window: Option<WindowArg>,
-    /// Codes kept when a hop window shrinks
-    #[arg(long)]
-    hop: Option<usize>,
-}
-
-/// What is made of the song.
-#[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Song and motion")]
-struct SongArgs {
-    /// Where in the song to begin, in seconds
-    #[arg(long, default_value_t = 0.0)]
-    offset_s: f64,
-    /// How much of the song to use, in seconds
-    #[arg(long)]
-    duration_s: Option<f64>,
-    /// Frames per second: 20, 24, 30 or 60
-    #[arg(long, default_value_t = 60)]
-    fps: u32,
-    /// Whether the dancer travels; false keeps it in place
-    #[arg(long, default_value_t = true, action = ArgAction::Set, value_name = "BOOL")]
-    root_motion: bool,
-    /// Find the music's tempo and beats [default: true for JSON]
-    #[arg(long, action = ArgAction::Set, value_name = "BOOL")]
-    music: Option<bool>,
     /// Longest song in seconds
     #[arg(
         long,
@@ -123,6 +51,10 @@ struct SongArgs {
         value_parser = positive_seconds
     )]
     max_audio_seconds: f64,
+    #[command(flatten)]
+    options: RequestOptions,
+    #[command(flatten)]
+    rows: RowsArgs,
 }
 
 /// From feature rows instead of audio.
@@ -147,12 +79,6 @@ struct RowsArgs {
     positions_out: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum WindowArg {
-    Hop,
-    Sliding,
-}
-
 pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<()> {
     match &args.rows.features {
         Some(features) => from_rows(args, features),
@@ -170,49 +96,11 @@ impl GenerateArgs {
             batch: 2 * MAX_CANDIDATES,
             queue,
             audio: AudioLimits {
-                max_seconds: self.song.max_audio_seconds,
+                max_seconds: self.max_audio_seconds,
                 ..AudioLimits::default()
             },
             observer: std::sync::Arc::new(()),
         })?)
-    }
-
-    fn options(&self, music: bool) -> GenerationOptions {
-        let SamplingArgs {
-            seed,
-            temperature,
-            top_k,
-            guidance,
-            candidates,
-            redo,
-            start_upper,
-            start_lower,
-            window,
-            hop,
-        } = self.sampling;
-        GenerationOptions {
-            seed,
-            temperature,
-            top_k,
-            guidance,
-            candidates,
-            redo,
-            start_upper,
-            start_lower,
-            continue_from: self.continue_from.clone(),
-            window: window.map(|window| match window {
-                WindowArg::Hop => WindowKind::Hop,
-                WindowArg::Sliding => WindowKind::Sliding,
-            }),
-            hop,
-            range: AudioRange {
-                offset_s: self.song.offset_s,
-                duration_s: self.song.duration_s,
-            },
-            fps: self.song.fps,
-            root_motion: self.song.root_motion,
-            music: self.song.music.unwrap_or(music),
-        }
     }
 }
 
@@ -222,7 +110,7 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
     let targets = args.output.targets(&inputs)?;
     let choreographer = args.open(1)?;
     choreographer
-        .check(&args.options(false))
+        .check(&args.options.generation(OutputFormat::Bvh))
         .map_err(bailando::Error::from)?;
     let mut first_failure = None;
     let mut failures = 0;
@@ -255,7 +143,10 @@ fn one_song(
 ) -> anyhow::Result<()> {
     let started = Instant::now();
     let audio = fs::read(input)?;
-    let options = args.options(format == FileFormat::Json);
+    let options = args.options.generation(match format {
+        FileFormat::Json => OutputFormat::Json,
+        FileFormat::Bvh | FileFormat::Npy => OutputFormat::Bvh,
+    });
     let bar = Arc::new(Bar::new(&input.display().to_string()));
     let dance = choreographer.generate_with_progress(
         audio.into(),
@@ -264,7 +155,7 @@ fn one_song(
         Arc::clone(&bar) as _,
     )?;
     drop(bar);
-    args.output.write(&dance, target, format)?;
+    args.output.write(&dance, target, format, &args.options)?;
     report(&dance, target, started);
     Ok(())
 }
@@ -299,7 +190,7 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
     let choreographer = args.open(1)?;
     let raw = choreographer.dance_to_rows(
         rows,
-        &args.options(false),
+        &args.options.generation(OutputFormat::Bvh),
         &CancelToken::new(),
         Arc::new(Bar::new(&features.display().to_string())),
     )?;

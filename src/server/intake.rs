@@ -61,19 +61,19 @@ pub(crate) async fn receive(
     }
     match purpose {
         Purpose::Job => state.jobs.check_room()?,
-        Purpose::Dance | Purpose::Stream => state.admission.check_room()?,
+        Purpose::Dance | Purpose::Stream => state.resources.admission.check_room()?,
     }
 
     let watch = Watch::new(Arc::clone(&state.metrics));
     let presence = Presence::of(&watch);
     let received = async {
-        let mut place = state.uploads.begin(state.admission.retry_after())?;
+        let mut place = state.resources.uploads.begin()?;
         let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
         let upload = upload::receive(parts, body, media, options, limits, &mut place)
             .instrument(tracing::info_span!("stage", otel.name = "upload"))
             .await?;
         if purpose == Purpose::Job {
-            state.uploads.keep_for_job(&mut place)?;
+            state.resources.uploads.keep_for_job(&mut place)?;
         }
         let shape = shape(purpose, &upload.options, &accept)?;
         engine.check(&upload.options.generation(shape.format))?;

@@ -5,7 +5,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{metrics::SharedMetrics, room::Share, uploads::UploadPermit};
+use super::{
+    metrics::SharedMetrics,
+    resources::{Reservation, UploadReservation},
+};
 use crate::{
     CancelToken,
     engine::{Progress, Stage},
@@ -54,8 +57,8 @@ struct State {
     working: bool,
     left: Option<Instant>,
     codes: (usize, usize),
-    upload: Option<UploadPermit>,
-    audio: Option<Share>,
+    upload: Option<UploadReservation>,
+    audio: Option<Reservation>,
 }
 
 impl Watch {
@@ -92,12 +95,12 @@ impl Watch {
     }
 
     /// Holds the upload until it is decoded.
-    pub(crate) fn hold_upload(&self, upload: UploadPermit) {
+    pub(crate) fn hold_upload(&self, upload: UploadReservation) {
         self.state().upload = Some(upload);
     }
 
     /// Holds the share of audio until the watch is gone; what is too much goes once the length is known.
-    pub(crate) fn hold_audio(&self, audio: Share) {
+    pub(crate) fn hold_audio(&self, audio: Reservation) {
         self.state().audio = Some(audio);
     }
 
@@ -151,7 +154,7 @@ impl Progress for Watch {
         let mut state = self.state();
         let upload = state.upload.take();
         if let Some(audio) = &mut state.audio {
-            audio.keep(seconds.ceil() as u64);
+            audio.shrink_to(seconds.ceil() as u64);
         }
         drop(state);
         drop(upload);

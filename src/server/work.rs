@@ -6,13 +6,13 @@ use bytes::Bytes;
 use tracing::Span;
 
 use super::{
-    admission::Permit,
     config::Limits,
     envelope::panic_text,
     error::ServerError,
     intake::Order,
     metrics::SharedMetrics,
     options::RequestOptions,
+    resources::Permit,
     state::{Generate, SharedState},
     watch::{Phase, Watch},
 };
@@ -44,8 +44,9 @@ impl Order {
 
     /// Waits for room for the song's seconds; how long it is, is known once it is decoded.
     pub(crate) async fn hold_audio(&self, state: &SharedState) -> Result<(), ServerError> {
-        let share = state.audio.share(self.most_seconds(&state.limits));
-        self.watch.hold_audio(share.await?);
+        let seconds = self.most_seconds(&state.limits);
+        self.watch
+            .hold_audio(state.resources.audio.reserve(seconds).await);
         Ok(())
     }
 
@@ -104,7 +105,7 @@ pub(crate) async fn stream(
         let mut ending = engine.stream(audio, &options, &watch.cancel, listener)?;
         ending.timings.queue += permit.waited;
         measured.danced("stream", ending.codes.upper.len(), &ending.timings);
-        permit.danced();
+        permit.complete();
         Ok(ending)
     })
     .await

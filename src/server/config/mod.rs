@@ -10,14 +10,23 @@ use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
 
 use clap::builder::FalseyValueParser;
 
+pub(crate) use self::limits::FORM_OVERHEAD;
 pub use self::{
     keys::{ApiKey, KeysError},
     limits::{Limits, LimitsError},
     origin::Origin,
     units::{ByteSize, Seconds},
 };
-use super::access::Access;
 use crate::engine::{EngineConfig, Observer};
+
+/// API keys and allowed origins.
+#[derive(Clone, Debug, Default)]
+pub struct Access {
+    /// Keys that callers must send one of; without any, every caller is accepted.
+    pub keys: Vec<ApiKey>,
+    /// Origins whose pages may call (CORS); `*` for all.
+    pub origins: Vec<Origin>,
+}
 
 /// Settings of `serve`.
 #[derive(Clone, Debug, clap::Args)]
@@ -38,11 +47,11 @@ pub struct ServerConfig {
     /// Threads that compute one step of the model [default: all cores]
     #[arg(long, env = "BAILANDO_THREADS")]
     pub threads: Option<NonZeroUsize>,
-    /// What a caller may ask for.
+    /// Bounds of what callers may ask for.
     #[command(flatten)]
     pub limits: Limits,
     /// Key that callers must send, as `Authorization: Bearer KEY` or `X-API-Key: KEY`; several with
-    /// commas. Probes, metrics and documentation need none [default: no key is asked for]
+    /// commas. Probes, metrics and documentation need none [default: no key is required]
     #[arg(
         long,
         env = "BAILANDO_API_KEY",
@@ -53,11 +62,12 @@ pub struct ServerConfig {
     /// File of API keys, one a line, in addition to --api-key
     #[arg(long, env = "BAILANDO_API_KEY_FILE")]
     pub api_key_file: Option<PathBuf>,
-    /// Origins whose pages may call the server (CORS), each a scheme, a host and perhaps a port, with commas; *
-    /// for all [default: none]
+    /// Origins whose pages may call the server (CORS), each a scheme, a host and perhaps a port;
+    /// several with commas; * for all [default: none]
     #[arg(long, env = "BAILANDO_CORS_ALLOW_ORIGIN", value_delimiter = ',')]
     pub cors_allow_origin: Vec<Origin>,
-    /// Collector that traces are sent to: OTLP over HTTP, such as http://localhost:4318 [default: none]
+    /// Collector that traces are sent to: OTLP over HTTP, such as http://localhost:4318 [default:
+    /// none]
     #[arg(long, env = "BAILANDO_OTLP_ENDPOINT")]
     pub otlp_endpoint: Option<String>,
     /// Write the log as JSON lines
@@ -83,7 +93,7 @@ impl Default for ServerConfig {
 }
 
 impl ServerConfig {
-    /// Who is let in: with the keys of the settings and those of the file, from the origins.
+    /// Returns the API keys of the settings and of the key file, and the allowed origins.
     ///
     /// # Errors
     /// [`KeysError`] if the file cannot be read or holds no key.
@@ -103,7 +113,7 @@ impl ServerConfig {
         })
     }
 
-    /// What the engine needs of these settings.
+    /// Returns the engine's part of the settings.
     #[must_use]
     pub fn engine(&self, observer: Arc<dyn Observer>) -> EngineConfig {
         let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
@@ -111,7 +121,7 @@ impl ServerConfig {
             model_dir: self.model_dir.clone(),
             threads: self.threads.map_or_else(cores, NonZeroUsize::get),
             batch: self.limits.batch.get(),
-            // Only a request that holds a permit asks the model for anything.
+            // Only requests with a permit use the model.
             queue: self.limits.max_concurrent_requests.get(),
             audio: self.limits.audio(),
             observer,

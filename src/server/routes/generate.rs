@@ -9,15 +9,18 @@ use axum::{
 };
 
 use crate::{
-    formats::{Dance, DanceJson, OutputFormat, Timings},
+    formats::{Dance, OutputFormat, Timings},
     server::{
         body::IncomingBody,
         envelope::time_header,
-        error::{ErrorBody, ServerError},
+        error::ServerError,
         intake::{self, Purpose},
-        options::{AudioFile, GenerateForm, RequestOptions},
-        outgoing,
-        room::Share,
+        options::RequestOptions,
+        resources::Reservation,
+        response::{
+            documented::{GenerationErrors, MotionResponse},
+            idle_body,
+        },
         state::SharedState,
         warnings, work,
     },
@@ -30,55 +33,10 @@ use crate::{
 #[utoipa::path(
     post,
     path = "/generate",
+    operation_id = "generate_motion",
     tag = "dance",
     params(RequestOptions),
-    request_body(
-        description = "The song: wav, flac, mp3, ogg/vorbis or m4a/aac, told from its bytes.",
-        content(
-            (GenerateForm = "multipart/form-data"),
-            (AudioFile = "audio/*"),
-            (AudioFile = "application/octet-stream")
-        )
-    ),
-    responses(
-        (
-            status = 200,
-            description = "The dance.",
-            content((DanceJson<'static> = "application/json"), (String = "application/x-bvh")),
-            headers(
-                ("x-seed" = u64, description = "The seed that was used."),
-                ("x-tail" = String, description = "The option `continue_from` of a dance that is to go on from the end of this one; the JSON carries it as `tail`."),
-                ("x-total-time" = f64, description = "Milliseconds in all."),
-                ("x-queue-time" = f64, description = "Milliseconds spent waiting."),
-                ("x-decode-time" = f64, description = "Milliseconds of decoding the audio."),
-                ("x-feature-time" = f64, description = "Milliseconds of music features."),
-                ("x-inference-time" = f64, description = "Milliseconds in the model."),
-                ("x-warnings" = String, description = "What the caller should know about the dance, for example that the file ended early. One header for each warning, up to 8, in plain ASCII of up to 200 characters; absent without warnings. The JSON carries the same texts in full as `warnings`."),
-                ("x-request-id" = String, description = "The request's id."),
-            )
-        ),
-        (status = 400, description = "An option or the form is wrong, or there is no audio.", body = ErrorBody),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (status = 406, description = "The Accept header names no format of ours.", body = ErrorBody),
-        (status = 408, description = "The body was not sent in time.", body = ErrorBody),
-        (status = 413, description = "The audio file is too large.", body = ErrorBody),
-        (status = 415, description = "The body is no audio that is accepted, or compressed.", body = ErrorBody),
-        (status = 422, description = "The audio cannot be decoded, or is too short or too long.", body = ErrorBody),
-        (
-            status = 429,
-            description = "Too many requests are waiting, too much is being uploaded, or this client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-        (status = 500, description = "The server is at fault.", body = ErrorBody),
-        (
-            status = 503,
-            description = "The model is being loaded or has stopped, the server is shutting down, there was no result in time, or answers that nobody takes leave no room for it.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+    responses(MotionResponse, GenerationErrors,)
 )]
 pub(crate) async fn generate(
     State(state): State<SharedState>,
@@ -98,7 +56,7 @@ async fn render(
 ) -> Result<Rendered, ServerError> {
     let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
     let made = async {
-        let permit = state.admission.admit_traced().await?;
+        let permit = state.resources.admission.admit().await?;
         order.hold_audio(state).await?;
         let danced = work::dance(&state.metrics, order.work(), permit, "generate");
         let work::Danced { dance, permit } = danced.await?;
@@ -112,9 +70,9 @@ async fn render(
             format,
         )
         .await?;
-        // Whoever reads slowly holds memory: the place to work in is free only once there is some.
-        let room = state.room(body.len()).await?;
-        permit.danced();
+        // Slow clients hold memory: the worker is free only once there is some.
+        let room = state.resources.reserve_response(body.len()).await?;
+        permit.complete();
         Ok(Rendered::new(&dance, body, format, room))
     }
     .await;
@@ -130,11 +88,16 @@ pub(crate) struct Rendered {
     tail: Option<String>,
     timings: Timings,
     warnings: Vec<String>,
-    room: Share,
+    room: Reservation,
 }
 
 impl Rendered {
-    pub(crate) fn new(dance: &Dance, body: Vec<u8>, format: OutputFormat, room: Share) -> Self {
+    pub(crate) fn new(
+        dance: &Dance,
+        body: Vec<u8>,
+        format: OutputFormat,
+        room: Reservation,
+    ) -> Self {
         Self {
             body,
             format,
@@ -173,7 +136,7 @@ impl Rendered {
             }
         }
         let patience = state.limits.answer_idle_timeout.0;
-        let body = outgoing::whole(self.body, (under_way, self.room), patience, taken);
+        let body = idle_body::from_bytes(self.body, (under_way, self.room), patience, taken);
         (headers, body).into_response()
     }
 }

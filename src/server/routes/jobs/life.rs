@@ -96,13 +96,13 @@ async fn keep(state: SharedState, job: Arc<Job>, under_way: TaskTrackerToken) {
 
 async fn run(state: &SharedState, order: &mut Order, job: &Job) -> Result<Dance, ServerError> {
     let ordered = Instant::now();
-    let _slot = state.job_slots.acquire().await?;
-    let mut permit = state.admission.admit_patient().await?;
+    let _slot = state.resources.job_workers.reserve(1).await;
+    let mut permit = state.resources.admission.admit_unqueued().await;
     permit.waited = ordered.elapsed();
     order.hold_audio(state).await?;
     job.turn(JobState::Running);
     let danced = work::dance(&state.metrics, order.work(), permit, "job").await?;
-    danced.permit.danced();
+    danced.permit.complete();
     Ok(danced.dance)
 }
 
@@ -112,7 +112,7 @@ mod tests {
 
     use super::*;
     use crate::server::{
-        access::{Access, Client},
+        access::Client,
         config::{Limits, Seconds},
         metrics::SharedMetrics,
         state::ServerState,
@@ -131,7 +131,7 @@ mod tests {
             max_jobs: NonZeroUsize::MIN,
             ..Limits::default()
         };
-        let state = ServerState::loading(limits, Access::default(), SharedMetrics::default());
+        let state = ServerState::loading(limits, SharedMetrics::default());
         let first = job(&state);
         state.jobs.put(Arc::clone(&first)).unwrap();
         first.turn(JobState::Failed(ServerError::MissingAudio.report()));
@@ -157,7 +157,7 @@ mod tests {
             job_ttl: Seconds(time),
             ..Limits::default()
         };
-        let state = ServerState::loading(limits, Access::default(), SharedMetrics::default());
+        let state = ServerState::loading(limits, SharedMetrics::default());
         let job = job(&state);
         let started = Instant::now();
         let kept = keep(

@@ -1,60 +1,64 @@
-//! The options of a generation: one table that the parser, its error messages and the OpenAPI
-//! document are all made of.
+//! The options of a generation: one list that the query, the form, the command line, `GET /info`
+//! and the OpenAPI document are all made of.
 
 mod accepts;
-mod document;
+mod args;
 mod table;
 
-pub(crate) use document::{AudioFile, GenerateForm};
-
-use self::table::OPTIONS;
-use super::error::ServerError;
+pub use self::table::RequestOptions;
+pub(crate) use self::table::{OPTIONS, OptionSpec, Section};
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    formats::{BvhUnit, Dance, Encoding, JsonOptions, OutputFormat, Tail},
-    model::WindowKind,
+    formats::{BvhUnit, Dance, FormatError, JsonOptions, OutputFormat},
 };
 
-/// Longest option value that is looked at, in bytes.
+/// Longest option value that is read, in bytes.
 pub(crate) const LONGEST_VALUE: usize = 256;
 /// Formats of later versions.
 const FORMATS_NOT_YET: [&str; 1] = ["glb"];
 
-/// What a request asks for. `None` takes the default, which is the model's own where it has one.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct RequestOptions {
-    pub(crate) format: Option<OutputFormat>,
-    fps: Option<u32>,
-    seed: Option<u64>,
-    temperature: Option<f32>,
-    top_k: Option<usize>,
-    guidance: Option<f32>,
-    candidates: Option<usize>,
-    redo: Option<bool>,
-    start_upper: Option<u32>,
-    start_lower: Option<u32>,
-    continue_from: Option<Tail>,
-    window: Option<WindowKind>,
-    hop: Option<usize>,
-    offset_s: Option<f64>,
-    duration_s: Option<f64>,
-    root_motion: Option<bool>,
-    music: Option<bool>,
-    rotations: bool,
-    encoding: Option<Encoding>,
-    bvh_unit: Option<BvhUnit>,
-    given: Vec<&'static str>,
+/// An option that is not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("option `{name}`: {problem}")]
+pub struct OptionError {
+    /// The option, as far as it was named.
+    pub name: String,
+    /// What was wrong and what is accepted.
+    pub problem: String,
+}
+
+impl OptionSpec {
+    /// Checks a value.
+    ///
+    /// # Errors
+    /// What was wrong and what is accepted.
+    fn check(&self, text: &str) -> Result<(), String> {
+        if self.name == "format" && FORMATS_NOT_YET.contains(&text) {
+            return Err(format!(
+                "{text} is not available yet in this version, expected {}",
+                self.accepts
+            ));
+        }
+        match text.len() <= LONGEST_VALUE && self.accepts.admits(text) {
+            true => Ok(()),
+            false => Err(format!(
+                "got {:?}, expected {}",
+                shorten(text),
+                self.accepts
+            )),
+        }
+    }
 }
 
 impl RequestOptions {
-    /// Takes one option, from wherever it came.
+    /// Sets one option.
     ///
     /// # Errors
-    /// [`ServerError::Option`] names the option and what is accepted.
-    pub(crate) fn set(&mut self, name: &str, text: &str) -> Result<(), ServerError> {
+    /// [`OptionError`] names the option and what is accepted.
+    pub(crate) fn set(&mut self, name: &str, text: &str) -> Result<(), OptionError> {
         let refuse = |problem: String| {
-            Err(ServerError::Option {
+            Err(OptionError {
                 name: shorten(name),
                 problem,
             })
@@ -70,111 +74,98 @@ impl RequestOptions {
             return refuse("it was given more than once".to_owned());
         }
         self.given.push(option.name);
-        if option.name == "format" && FORMATS_NOT_YET.contains(&text) {
-            return refuse(format!(
-                "{text} is not available yet in this version, expected {}",
-                option.accepts
-            ));
+        match option.check(text) {
+            Err(problem) => refuse(problem),
+            Ok(()) if !(option.read)(self, text) => {
+                refuse(format!("got {text:?}, expected {}", option.accepts))
+            }
+            Ok(()) => Ok(()),
         }
-        if text.len() > LONGEST_VALUE || !option.accepts.admits(text) || !(option.read)(self, text)
-        {
-            return refuse(format!(
-                "got {:?}, expected {}",
-                shorten(text),
-                option.accepts
-            ));
-        }
-        Ok(())
-    }
-
-    /// Takes all options of a query string.
-    ///
-    /// # Errors
-    /// As [`RequestOptions::set`].
-    pub(crate) fn from_query(uri: &axum::http::Uri) -> Result<Self, ServerError> {
-        let mut options = Self::default();
-        let pairs = axum::extract::Query::<Vec<(String, String)>>::try_from_uri(uri)
-            .map_err(|rejection| ServerError::Option {
-                name: "query".to_owned(),
-                problem: rejection.body_text(),
-            })?
-            .0;
-        for (name, text) in pairs {
-            options.set(&name, &text)?;
-        }
-        Ok(options)
     }
 
     /// How JSON is written.
-    pub(crate) fn json(&self) -> JsonOptions {
+    #[must_use]
+    pub fn json(&self) -> JsonOptions {
         JsonOptions {
-            rotations: self.rotations,
+            rotations: self.include.is_some(),
             encoding: self.encoding.unwrap_or_default(),
         }
     }
 
-    /// The most seconds of audio that can be asked for by these options, if they say.
+    /// Returns the unit of lengths in BVH.
+    #[must_use]
+    pub fn bvh_unit(&self) -> BvhUnit {
+        self.bvh_unit.unwrap_or_default()
+    }
+
+    /// The longest part of a song in seconds that these options ask for, if they say.
     pub(crate) fn longest_seconds(&self) -> Option<f64> {
         self.duration_s
     }
 
-    /// These options, but written as `other` asks for.
+    /// These options, with the output options of `other` in the place of their own.
     ///
     /// # Errors
-    /// [`ServerError::Option`] if `other` asks for another dance.
-    pub(crate) fn written_as(&self, other: &Self) -> Result<Self, ServerError> {
-        const WRITTEN: [&str; 4] = ["format", "include", "encoding", "bvh_unit"];
-        if let Some(name) = other.given.iter().find(|name| !WRITTEN.contains(name)) {
-            return Err(ServerError::Option {
+    /// [`OptionError`] if `other` asks for another motion.
+    pub(crate) fn written_as(&self, other: &Self) -> Result<Self, OptionError> {
+        let outputs = || OPTIONS.iter().filter(|option| option.is_output());
+        let is_output = |name: &str| outputs().any(|output| output.name == name);
+        if let Some(name) = other.given.iter().find(|name| !is_output(name)) {
+            let names: Vec<&str> = outputs().map(|output| output.name).collect();
+            return Err(OptionError {
                 name: (*name).to_owned(),
                 problem: format!(
-                    "the dance is made already; what can be chosen now is {}",
-                    WRITTEN.join(", ")
+                    "the motion exists already; only these can be chosen now: {}",
+                    names.join(", ")
                 ),
             });
         }
         Ok(Self {
             format: other.format.or(self.format),
-            rotations: other.rotations || self.rotations,
+            include: other.include.or(self.include),
             encoding: other.encoding.or(self.encoding),
             bvh_unit: other.bvh_unit.or(self.bvh_unit),
             ..self.clone()
         })
     }
 
-    /// Writes `dance` as asked for.
-    pub(crate) fn write(&self, dance: &Dance, format: OutputFormat) -> crate::Result<Vec<u8>> {
-        let bytes = format.write(dance, &self.json(), self.bvh_unit.unwrap_or_default())?;
-        Ok(bytes)
+    /// Writes `dance` in `format`.
+    ///
+    /// # Errors
+    /// As [`OutputFormat::write`].
+    pub(crate) fn write(
+        &self,
+        dance: &Dance,
+        format: OutputFormat,
+    ) -> Result<Vec<u8>, FormatError> {
+        format.write(dance, &self.json(), self.bvh_unit())
     }
 
-    /// The engine's part of the options.
-    pub(crate) fn generation(&self, format: OutputFormat) -> GenerationOptions {
-        let default = GenerationOptions::default();
+    /// The engine's part of the options, for a result in `format`.
+    #[must_use]
+    pub fn generation(&self, format: OutputFormat) -> GenerationOptions {
+        let sampling = self.sampling();
         GenerationOptions {
-            seed: self.seed,
-            temperature: self.temperature,
-            top_k: self.top_k,
-            guidance: self.guidance,
-            candidates: self.candidates,
-            redo: self.redo,
-            start_upper: self.start_upper,
-            start_lower: self.start_lower,
-            continue_from: self.continue_from.clone(),
-            window: self.window,
-            hop: self.hop,
             range: AudioRange {
                 offset_s: self.offset_s.unwrap_or_default(),
                 duration_s: self.duration_s,
             },
-            fps: self.fps.unwrap_or(default.fps),
-            root_motion: self.root_motion.unwrap_or(default.root_motion),
+            fps: self.fps.unwrap_or(sampling.fps),
+            root_motion: self.root_motion.unwrap_or(sampling.root_motion),
             music: self.music.unwrap_or(format == OutputFormat::Json),
+            ..sampling
         }
     }
 }
 
-/// What a stranger sent, short enough to be repeated to them.
+impl OptionSpec {
+    /// Whether the option only says how a result is written.
+    pub(crate) fn is_output(&self) -> bool {
+        matches!(self.section, Section::Output | Section::HttpOutput)
+    }
+}
+
+/// A caller's text, short enough to be repeated in an answer.
 pub(crate) fn shorten(text: &str) -> String {
     const SHOWN: usize = 60;
     match text.char_indices().nth(SHOWN) {
@@ -186,18 +177,30 @@ pub(crate) fn shorten(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{engine::MAX_SEED, formats::Codes};
+    use crate::{
+        engine::MAX_SEED,
+        formats::{Codes, Encoding, Tail},
+        model::WindowKind,
+    };
 
     fn query(text: &str) -> Result<RequestOptions, String> {
-        let uri = format!("/generate?{text}").parse().unwrap();
-        RequestOptions::from_query(&uri).map_err(|error| error.to_string())
+        let mut options = RequestOptions::default();
+        for pair in text.split('&').filter(|pair| !pair.is_empty()) {
+            let (name, value) = pair.split_once('=').unwrap();
+            options
+                .set(name, value)
+                .map_err(|error| error.to_string())?;
+        }
+        Ok(options)
     }
 
     #[test]
     fn every_option_is_read() {
         let options = query(
-            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5&candidates=3&redo=false\
-             &start_upper=1&start_lower=2&continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA&window=sliding&hop=15&offset_s=1.5&duration_s=2e1&root_motion=false\
+            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5\
+             &candidates=3&redo=false&start_upper=1&start_lower=2\
+             &continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA&window=sliding&hop=15&offset_s=1.5\
+             &duration_s=2e1&root_motion=false\
              &music=true&include=rotations&encoding=base64&bvh_unit=m",
         )
         .unwrap();
@@ -205,7 +208,7 @@ mod tests {
         assert_eq!(options.format, Some(OutputFormat::Bvh));
         assert_eq!(options.encoding, Some(Encoding::Base64));
         assert_eq!(options.bvh_unit, Some(BvhUnit::Metre));
-        assert!(options.rotations);
+        assert!(options.json().rotations);
         assert_eq!(
             options.generation(OutputFormat::Bvh),
             GenerationOptions {
@@ -286,7 +289,7 @@ mod tests {
         );
         says(
             "sede=1",
-            "there is no such option; there are format, fps, seed",
+            "there is no such option; there are seed, temperature, top_k",
         );
         says(
             "continue_from=x",

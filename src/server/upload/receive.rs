@@ -10,12 +10,14 @@ use futures_util::{Stream, StreamExt, TryStreamExt};
 
 use super::{
     body::{BodyError, IncomingBody},
-    config::{ByteSize, Limits},
-    error::ServerError,
-    form::{self, FormBody, Kept},
+    form::{FormBody, Kept},
     media::{Media, is_lossless},
+};
+use crate::server::{
+    config::{ByteSize, FORM_OVERHEAD, Limits},
+    error::ServerError,
     options::{LONGEST_VALUE, RequestOptions, shorten},
-    uploads::UploadPermit,
+    resources::UploadReservation,
 };
 
 /// A request that has arrived completely.
@@ -24,7 +26,7 @@ pub(crate) struct Upload {
     pub(crate) options: RequestOptions,
 }
 
-/// Refuses a body whose declared length is too large whatever it turns out to be.
+/// Refuses a body with a declared length above every limit.
 ///
 /// # Errors
 /// [`ServerError::TooLarge`].
@@ -43,18 +45,18 @@ pub(crate) fn check_declared(
 /// Reads the whole body. `options` are those of the query; parts of a form add to them.
 ///
 /// # Errors
-/// Anything that is wrong with the upload, in the callers' words.
+/// [`ServerError`] for anything that is wrong with the upload.
 pub(crate) async fn receive(
     parts: Parts,
     body: IncomingBody,
     media: Media,
     options: RequestOptions,
     limits: &Limits,
-    permit: &mut UploadPermit,
+    reservation: &mut UploadReservation,
 ) -> Result<Upload, ServerError> {
     let body = body
         .limited(most_bytes(media, limits))
-        .counted(permit.held());
+        .counted(reservation.bytes());
     let upload = match media {
         Media::Raw => {
             let mut audio = AudioBuffer::new(limits, body.declared());
@@ -66,7 +68,7 @@ pub(crate) async fn receive(
         }
         Media::Form => receive_form(parts, body, options, limits).await?,
     };
-    permit.received();
+    reservation.received();
     if upload.audio.is_empty() {
         return Err(ServerError::MissingAudio);
     }
@@ -123,7 +125,8 @@ async fn receive_form(
     })
 }
 
-/// The value of an option; one that is too long to be any is cut, and refused by its parser.
+/// Reads the value of an option. A value that is too long for any option is cut, and refused by its
+/// parser.
 async fn read_value(
     mut field: Field<'_>,
     kept: &Kept,
@@ -154,16 +157,16 @@ async fn collect<E>(
     Ok(())
 }
 
-/// Collects audio up to the limit that its first bytes give it.
+/// Audio so far, up to the limit of the format that its first bytes name.
 struct AudioBuffer<'a> {
     bytes: BytesMut,
-    // Believed only where it is too large: nothing is reserved for it.
+    // Only used to refuse early: no memory is reserved for it.
     declared: u64,
     limits: &'a Limits,
 }
 
 impl<'a> AudioBuffer<'a> {
-    /// Bytes that tell wav and flac.
+    /// Bytes that identify wav and flac.
     const PREFIX: usize = 12;
 
     fn new(limits: &'a Limits, declared: Option<u64>) -> Self {
@@ -225,13 +228,14 @@ fn body_error(error: &BodyError, limits: &Limits) -> ServerError {
         },
         BodyError::FormOverhead => ServerError::Multipart(format!(
             "the form holds more than {} beside what its parts carry",
-            ByteSize(form::OVERHEAD)
+            ByteSize(FORM_OVERHEAD)
         )),
         BodyError::Broken(_) => ServerError::UploadBroken,
     }
 }
 
-/// Errors of the body travel through the form's parser: they are found again along the sources.
+/// Explains an error of the form's parser. Errors of the body pass through the parser, and are
+/// found again among its sources.
 fn form_error(error: &axum::extract::multipart::MultipartError, limits: &Limits) -> ServerError {
     let mut source: Option<&(dyn std::error::Error + 'static)> = Some(error);
     while let Some(error) = source {
