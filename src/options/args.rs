@@ -8,51 +8,41 @@ use clap::{
 
 use super::{OPTIONS, OptionSpec, RequestOptions, Section, accepts::Accepts};
 
-impl OptionSpec {
-    fn heading(&self) -> Option<&'static str> {
-        match self.section {
-            Section::Sampling => Some("Sampling"),
-            Section::Song => Some("Song and motion"),
-            Section::Output | Section::HttpOutput => None,
-        }
-    }
-
-    /// One flag; its id is the name of the option.
-    fn arg(&self) -> Arg {
-        let spec = *self;
-        let value = match self.accepts {
-            Accepts::Boolean => "BOOL".to_owned(),
-            Accepts::Tail => "TAIL".to_owned(),
-            _ => self.name.to_uppercase(),
-        };
-        let about = self.about.trim_end_matches('.').replace('`', "");
-        let arg = Arg::new(self.name)
-            .long(self.name.replace('_', "-"))
-            .value_name(value)
-            .help(format!("{about} [default: {}]", self.default))
-            .allow_hyphen_values(true);
-        let arg = match self.heading() {
-            Some(heading) => arg.help_heading(heading),
-            None => arg,
-        };
-        match self.accepts.words() {
-            Some(words) => arg.value_parser(PossibleValuesParser::new(words).map(String::from)),
-            None => arg.value_parser(move |text: &str| {
-                let checked = spec.check(text).map(|()| text.to_owned());
-                checked.map_err(|_| format!("expected {}", spec.accepts))
-            }),
-        }
+/// Returns the flag of an option; its id is the name of the option.
+fn arg(spec: &'static OptionSpec) -> Arg {
+    let value = match spec.accepts {
+        Accepts::Boolean => "BOOL".to_owned(),
+        Accepts::Tail => "TAIL".to_owned(),
+        _ => spec.name.to_uppercase(),
+    };
+    let about = spec.about.trim_end_matches('.').replace('`', "");
+    let arg = Arg::new(spec.name)
+        .long(spec.name.replace('_', "-"))
+        .value_name(value)
+        .help(format!("{about} [default: {}]", spec.default))
+        .allow_hyphen_values(true);
+    let arg = match spec.section {
+        Section::Sampling => arg.help_heading("Sampling"),
+        Section::Song => arg.help_heading("Song and motion"),
+        Section::Output | Section::HttpOutput => arg,
+    };
+    match spec.accepts.words() {
+        Some(words) => arg.value_parser(PossibleValuesParser::new(words).map(String::from)),
+        None => arg.value_parser(move |text: &str| {
+            let checked = spec.check(text).map(|()| text.to_owned());
+            checked.map_err(|_| format!("expected {}", spec.accepts))
+        }),
     }
 }
 
 fn flags() -> impl Iterator<Item = &'static OptionSpec> {
-    let given_otherwise = |spec: &&OptionSpec| spec.section == Section::HttpOutput;
-    OPTIONS.iter().filter(move |spec| !given_otherwise(spec))
+    let all = OPTIONS.iter();
+    all.filter(|spec| spec.section != Section::HttpOutput)
 }
 
 impl Args for RequestOptions {
     fn augment_args(command: Command) -> Command {
-        flags().fold(command, |command, spec| command.arg(spec.arg()))
+        flags().fold(command, |command, spec| command.arg(arg(spec)))
     }
 
     fn augment_args_for_update(command: Command) -> Command {

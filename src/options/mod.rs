@@ -29,6 +29,11 @@ pub struct OptionError {
 }
 
 impl OptionSpec {
+    /// Returns whether the option only says how a result is written.
+    pub(crate) fn is_output(&self) -> bool {
+        matches!(self.section, Section::Output | Section::HttpOutput)
+    }
+
     /// Checks a value.
     ///
     /// # Errors
@@ -64,22 +69,17 @@ impl RequestOptions {
             })
         };
         let Some(option) = OPTIONS.iter().find(|option| option.name == name) else {
-            let names: Vec<&str> = OPTIONS.iter().map(|option| option.name).collect();
-            return refuse(format!(
-                "there is no such option; there are {}",
-                names.join(", ")
-            ));
+            let all = names(OPTIONS.iter());
+            return refuse(format!("there is no such option; there are {all}"));
         };
         if self.given.contains(&option.name) {
             return refuse("it was given more than once".to_owned());
         }
         self.given.push(option.name);
         match option.check(text) {
+            Ok(()) if (option.read)(self, text) => Ok(()),
+            Ok(()) => refuse(format!("got {text:?}, expected {}", option.accepts)),
             Err(problem) => refuse(problem),
-            Ok(()) if !(option.read)(self, text) => {
-                refuse(format!("got {text:?}, expected {}", option.accepts))
-            }
-            Ok(()) => Ok(()),
         }
     }
 
@@ -111,13 +111,10 @@ impl RequestOptions {
         let outputs = || OPTIONS.iter().filter(|option| option.is_output());
         let is_output = |name: &str| outputs().any(|output| output.name == name);
         if let Some(name) = other.given.iter().find(|name| !is_output(name)) {
-            let names: Vec<&str> = outputs().map(|output| output.name).collect();
+            let outputs = names(outputs());
             return Err(OptionError {
                 name: (*name).to_owned(),
-                problem: format!(
-                    "the motion exists already; only these can be chosen now: {}",
-                    names.join(", ")
-                ),
+                problem: format!("the motion exists already; what can be chosen now is {outputs}"),
             });
         }
         Ok(Self {
@@ -158,11 +155,9 @@ impl RequestOptions {
     }
 }
 
-impl OptionSpec {
-    /// Whether the option only says how a result is written.
-    pub(crate) fn is_output(&self) -> bool {
-        matches!(self.section, Section::Output | Section::HttpOutput)
-    }
+fn names<'a>(options: impl Iterator<Item = &'a OptionSpec>) -> String {
+    let names: Vec<&str> = options.map(|option| option.name).collect();
+    names.join(", ")
 }
 
 /// A caller's text, short enough to be repeated in an answer.
@@ -204,6 +199,8 @@ mod tests {
              &music=true&include=rotations&encoding=base64&bvh_unit=m",
         )
         .unwrap();
+        let (upper, lower) = (vec![1], vec![2]);
+        let tail = Tail::new("01234567", Codes { upper, lower }, [0.0; 2], 0.75);
         assert_eq!(options.given.len(), OPTIONS.len());
         assert_eq!(options.format, Some(OutputFormat::Bvh));
         assert_eq!(options.encoding, Some(Encoding::Base64));
@@ -220,15 +217,7 @@ mod tests {
                 redo: Some(false),
                 start_upper: Some(1),
                 start_lower: Some(2),
-                continue_from: Some(Tail::new(
-                    "01234567",
-                    Codes {
-                        upper: vec![1],
-                        lower: vec![2],
-                    },
-                    [0.0; 2],
-                    0.75,
-                )),
+                continue_from: Some(tail),
                 window: Some(WindowKind::Sliding),
                 hop: Some(15),
                 range: AudioRange {
@@ -252,51 +241,53 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_named_with_what_does() {
-        let says = |text: &str, wanted: &str| {
+    fn a_wrong_option_is_refused_with_what_is_accepted() {
+        let long = format!("seed={}", "1".repeat(10_000));
+        for (text, wanted) in [
+            (
+                "fps=25",
+                "option `fps`: got \"25\", expected one of 20, 24, 30, 60",
+            ),
+            (
+                "seed=-1",
+                "expected a whole number from 0 to 9007199254740991",
+            ),
+            ("seed=9007199254740992", "option `seed`"),
+            ("seed=", "option `seed`: got \"\""),
+            ("temperature=warm", "expected a number from 0 to 10"),
+            ("offset_s=-1", "expected a number, 0 or more"),
+            ("temperature=NaN", "option `temperature`"),
+            ("temperature=1e300", "option `temperature`"),
+            ("temperature=-0.1", "option `temperature`"),
+            ("guidance=11", "option `guidance`"),
+            (
+                "candidates=17",
+                "`candidates`: got \"17\", expected a whole number from 1 to 16",
+            ),
+            ("top_k=0", "expected a whole number from 1 to"),
+            ("start_upper=4294967296", "option `start_upper`"),
+            ("duration_s=0", "expected a number above 0"),
+            ("duration_s=inf", "option `duration_s`"),
+            ("root_motion=maybe", "expected true or false"),
+            ("include=everything", "expected rotations"),
+            (
+                "seed=1&seed=1",
+                "option `seed`: it was given more than once",
+            ),
+            (
+                "sede=1",
+                "there is no such option; there are seed, temperature, top_k,",
+            ),
+            (
+                "continue_from=x",
+                "expected the `tail` that came with an earlier dance",
+            ),
+            ("format=glb", "glb is not available yet in this version"),
+            ("format=mp4", "expected one of json, bvh"),
+            (&long, "1.."),
+        ] {
             let problem = query(text).unwrap_err();
             assert!(problem.contains(wanted), "{text}: {problem}");
-        };
-        says(
-            "fps=25",
-            "option `fps`: got \"25\", expected one of 20, 24, 30, 60",
-        );
-        says(
-            "seed=-1",
-            "expected a whole number from 0 to 9007199254740991",
-        );
-        says("seed=9007199254740992", "option `seed`");
-        says("seed=", "option `seed`: got \"\"");
-        says("temperature=warm", "expected a number from 0 to 10");
-        says("offset_s=-1", "expected a number, 0 or more");
-        says("temperature=NaN", "option `temperature`");
-        says("temperature=1e300", "option `temperature`");
-        says("temperature=-0.1", "option `temperature`");
-        says("guidance=11", "option `guidance`");
-        says(
-            "candidates=17",
-            "option `candidates`: got \"17\", expected a whole number from 1 to 16",
-        );
-        says("top_k=0", "expected a whole number from 1 to");
-        says("start_upper=4294967296", "option `start_upper`");
-        says("duration_s=0", "expected a number above 0");
-        says("duration_s=inf", "option `duration_s`");
-        says("root_motion=maybe", "expected true or false");
-        says("include=everything", "expected rotations");
-        says(
-            "seed=1&seed=1",
-            "option `seed`: it was given more than once",
-        );
-        says(
-            "sede=1",
-            "there is no such option; there are seed, temperature, top_k",
-        );
-        says(
-            "continue_from=x",
-            "expected the `tail` that came with an earlier dance",
-        );
-        says("format=glb", "glb is not available yet in this version");
-        says("format=mp4", "expected one of json, bvh");
-        says(&format!("seed={}", "1".repeat(10_000)), "1..");
+        }
     }
 }
