@@ -37,6 +37,8 @@ pub(super) struct GenerateArgs {
     audio: Vec<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
+    #[command(flatten)]
+    options: RequestOptions,
     /// Model directory
     #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
     model_dir: PathBuf,
@@ -51,8 +53,6 @@ pub(super) struct GenerateArgs {
         value_parser = positive_seconds
     )]
     max_audio_seconds: f64,
-    #[command(flatten)]
-    options: RequestOptions,
     #[command(flatten)]
     rows: RowsArgs,
 }

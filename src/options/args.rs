@@ -16,10 +16,14 @@ fn arg(spec: &'static OptionSpec) -> Arg {
         _ => spec.name.to_uppercase(),
     };
     let about = spec.about.trim_end_matches('.').replace('`', "");
+    let accepts = match spec.accepts {
+        Accepts::IntegerOf(_) => format!(": {}", spec.accepts),
+        _ => String::new(),
+    };
     let arg = Arg::new(spec.name)
         .long(spec.name.replace('_', "-"))
         .value_name(value)
-        .help(format!("{about} [default: {}]", spec.default))
+        .help(format!("{about}{accepts} [default: {}]", spec.default))
         .allow_hyphen_values(true);
     let arg = match spec.section {
         Section::Sampling => arg.help_heading("Sampling"),

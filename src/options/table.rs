@@ -145,8 +145,7 @@ options! {
         start_lower: u32, ANY_CODE, "drawn", "First pose code of the lower body.";
         continue_from: Tail, Accepts::Tail, "none",
             "The `tail` of an earlier result of the same model: the new motion continues from its \
-             last pose, place and heading, so that clips chain. Excludes start_upper and \
-             start_lower.";
+             last pose, place and heading, so that clips chain. Excludes the first pose codes.";
         window: WindowKind, Accepts::Words(&["hop", "sliding"]), MODEL,
             "How the window of past pose codes moves: `hop` is fast, `sliding` is how the paper \
              samples.";

@@ -70,43 +70,32 @@ fn header(kind: Type, about: &str) -> Header {
 
 /// Headers of a result; those of a stream come first.
 const HEADERS: [(&str, Type, &str); 9] = [
-    ("x-seed", Type::Integer, "The seed of the generation."),
+    ("x-seed", INTEGER, "The seed of the generation."),
     (
         "x-queue-time",
-        Type::Number,
-        "Milliseconds of waiting for a worker.",
+        NUMBER,
+        "Milliseconds until a worker is free.",
     ),
     (
         "x-decode-time",
-        Type::Number,
+        NUMBER,
         "Milliseconds of decoding the audio.",
     ),
-    (
-        "x-feature-time",
-        Type::Number,
-        "Milliseconds of music features.",
-    ),
-    (
-        "x-warnings",
-        Type::String,
-        "What the caller should know about the result, for example that the file ended early. One \
-         header for each warning, up to 8, in plain ASCII of up to 200 characters; absent without \
-         warnings. The JSON carries the same texts in full as `warnings`.",
-    ),
-    ("x-request-id", Type::String, "The id of the request."),
-    (
-        "x-tail",
-        Type::String,
-        "The option `continue_from` of a generation that continues this one; the JSON carries it \
-         as `tail`.",
-    ),
-    ("x-total-time", Type::Number, "Milliseconds in all."),
-    (
-        "x-inference-time",
-        Type::Number,
-        "Milliseconds in the model.",
-    ),
+    ("x-feature-time", NUMBER, "Milliseconds of music features."),
+    ("x-warnings", TEXT, WARNINGS),
+    ("x-request-id", TEXT, "The id of the request."),
+    ("x-tail", TEXT, TAIL),
+    ("x-total-time", NUMBER, "Milliseconds in all."),
+    ("x-inference-time", NUMBER, "Milliseconds in the model."),
 ];
+const WARNINGS: &str = "What the caller should know about the result, for example that the file \
+    ended early. One header for each warning, up to 8, in plain ASCII of up to 200 characters; \
+    absent without warnings. The JSON carries the same texts in full as `warnings`.";
+const TAIL: &str = "The option `continue_from` of a generation that continues this one; the JSON \
+    carries it as `tail`.";
+const INTEGER: Type = Type::Integer;
+const NUMBER: Type = Type::Number;
+const TEXT: Type = Type::String;
 /// Those of a stream, which starts before the rest is known.
 const STREAM_HEADERS: usize = 6;
 
