@@ -6,22 +6,23 @@
 
 FROM rust:1.95-bookworm AS builder
 WORKDIR /build
-# jemalloc is built for pages of one size at most, by default that of this machine; arm64 kernels have up to 64 KiB.
+# jemalloc is built for a largest page size, by default that of this machine; arm64 kernels have pages
+# of up to 64 KiB.
 RUN if [ "$(uname -m)" = aarch64 ]; then \
         printf '[env]\nJEMALLOC_SYS_WITH_LG_PAGE = "16"\n' > "$CARGO_HOME/config.toml"; \
     fi
-# The dependencies and the crates in a layer of their own: they change less often than the service.
+# Dependencies and crates in a layer of their own: they change less often than the service.
 COPY Cargo.toml Cargo.lock ./
 COPY .cargo .cargo
 COPY crates crates
 COPY train/Cargo.toml train/
-RUN mkdir -p src benches train/src train/benches \
-    && touch src/lib.rs benches/features.rs train/src/lib.rs train/benches/steps.rs \
+RUN mkdir -p src train/src train/benches \
+    && touch src/lib.rs train/src/lib.rs train/benches/steps.rs \
     && echo 'fn main() {}' > src/main.rs \
     && echo 'fn main() {}' > train/src/main.rs \
     && cargo build --release --locked --package bailando --bin bailando
 COPY . .
-# cargo compares times, and those of the context may lie before the layer above.
+# cargo compares modification times, and those of the context may be older than the layer above.
 RUN touch src/lib.rs src/main.rs \
     && cargo build --release --locked --package bailando --bin bailando
 
@@ -51,7 +52,7 @@ WORKDIR /app
 COPY LICENSE ./
 COPY models/default models/default
 COPY --from=builder /build/target/release/bailando /usr/local/bin/
-# A number, so that an orchestrator can see that it is not root.
+# A number, so that an orchestrator can check that it is not root.
 USER 10001:10001
 EXPOSE 8080
 STOPSIGNAL SIGTERM

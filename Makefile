@@ -1,18 +1,22 @@
-# The targets of everyday work. `make run` and `make test` need a Rust toolchain, a C linker and,
-# once, python3 with pip; they say what is missing.
+# The targets of everyday work. `make run` and `make test` need a Rust toolchain, a C linker and, for
+# one download, python3 with pip; they say what is missing.
 
 CARGO ?= cargo
 # Arguments for the server: make run ARGS='--port 9000 --model-dir my-model'
 ARGS ?=
-# For how long each target is fuzzed, and which (none named: all): make fuzz SECONDS=600 TARGETS=container
+# Seconds for each fuzz target, and which targets (default: all): make fuzz SECONDS=600 TARGETS=container
 SECONDS ?= 60
 TARGETS ?=
 # Any engine with docker's `build` command line: docker, podman, buildah.
 DOCKER ?= docker
 IMAGE ?= bailando
 
+# The linter compiles the tests: one pass over the code instead of two. Arguments as clippy has them.
+LINTING := RUSTC_WORKSPACE_WRAPPER=clippy-driver \
+	CLIPPY_ARGS=-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__
+
 .DEFAULT_GOAL := help
-.PHONY: help setup run build test fuzz fmt deny lint-deploy chaos soak clean docker toolchain
+.PHONY: help setup run build check test fuzz fmt deny lint-deploy chaos soak clean docker toolchain
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -30,12 +34,18 @@ run: toolchain setup ## build and start the server (ARGS='--port 9000 ..')
 build: toolchain ## build both binaries, optimised, into target/release/
 	$(CARGO) build --release --locked --workspace
 
-test: setup ## format, lints, documentation, every test; closes with 'P passed, F failed, S skipped'
+check: setup ## format, lints, unit tests: for use while you work
 	@scripts/check-toolchain.sh fmt clippy
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
-	RUSTDOCFLAGS='-D warnings' $(CARGO) doc --workspace --no-deps --locked
-	@scripts/test-summary.sh target/test.log \
+	@$(LINTING) scripts/test-summary.sh target/check.log \
+		$(CARGO) test --workspace --lib --bins --test architecture --locked --no-fail-fast -- --show-output
+
+test: setup ## format, lints, documentation, every test; ends with 'P passed, F failed, S skipped'
+	@scripts/check-toolchain.sh fmt clippy
+	$(CARGO) fmt --all --check
+	$(LINTING) $(CARGO) test --workspace --all-targets --locked --no-run
+	@$(LINTING) RUSTDOC='$(CURDIR)/scripts/rustdoc-checked.sh' scripts/test-summary.sh target/test.log \
 		$(CARGO) test --workspace --locked --no-fail-fast -- --show-output
 
 fuzz: ## fuzz every target for SECONDS=60 (needs a nightly compiler and cargo-fuzz)

@@ -6,13 +6,14 @@
 //! ```
 //!
 //! The poses are seen from the front (the dancer's left is on the right, in blue), evenly spaced in
-//! time, each with the trails of its hands; on the right the way over the floor as seen from above,
-//! the front at the bottom.
+//! time, each with the trails of its hands. On the right is the path over the floor seen from
+//! above, the front at the bottom.
 
-use std::{iter::Peekable, path::PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use base64::{Engine, engine::general_purpose::STANDARD};
+use clap::Parser;
 use serde::Deserialize;
 use tiny_skia::{
     Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Rect, Stroke, Transform,
@@ -20,10 +21,10 @@ use tiny_skia::{
 
 const WIDTH: u32 = 1600;
 const HEIGHT: u32 = 500;
-/// Width of the panel with the way over the floor.
+/// Width of the panel with the path over the floor.
 const MAP: f32 = 300.0;
 const MARGIN: f32 = 30.0;
-/// Where the floor line is, from the top.
+/// Height of the floor line, from the top.
 const FLOOR: f32 = 450.0;
 /// Seconds that the trail of a hand goes back.
 const TRAIL: f32 = 0.35;
@@ -36,7 +37,7 @@ const LEFT: [u8; 3] = [38, 132, 186];
 const RIGHT: [u8; 3] = [224, 106, 59];
 
 fn main() -> Result<()> {
-    let options = Options::parse(std::env::args().skip(1))?;
+    let options = Options::parse();
     let text = std::fs::read(&options.input)
         .with_context(|| format!("can't read {}", options.input.display()))?;
     let dance: Dance = serde_json::from_slice(&text)
@@ -46,55 +47,30 @@ fn main() -> Result<()> {
     Ok(())
 }
 
+/// Draws a dance as a strip of poses
+#[derive(Parser)]
 struct Options {
+    /// A JSON result
     input: PathBuf,
+    /// The picture to write
+    #[arg(value_name = "OUT.png")]
     output: PathBuf,
+    /// Seconds before the first pose
+    #[arg(long, default_value_t = 0.0, value_parser = seconds)]
     from: f32,
+    /// Seconds from the first to the last pose [default: to the end]
+    #[arg(long, value_parser = seconds)]
     seconds: Option<f32>,
-    poses: usize,
+    /// Number of poses
+    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=20))]
+    poses: u32,
 }
 
-impl Options {
-    const USAGE: &str = "filmstrip DANCE.json OUT.png [--from S] [--seconds N] [--poses K]";
-
-    fn parse(arguments: impl Iterator<Item = String>) -> Result<Self> {
-        let mut arguments = arguments.peekable();
-        let mut paths = Vec::new();
-        let (mut from, mut seconds, mut poses) = (0.0, None, 7);
-        while let Some(argument) = arguments.next() {
-            match argument.as_str() {
-                "--from" => from = number(&mut arguments, "--from")?,
-                "--seconds" => seconds = Some(number(&mut arguments, "--seconds")?),
-                "--poses" => poses = number(&mut arguments, "--poses")? as usize,
-                flag if flag.starts_with('-') => bail!("unknown {flag}: {}", Self::USAGE),
-                _ => paths.push(PathBuf::from(argument)),
-            }
-        }
-        let [input, output]: [PathBuf; 2] = match paths.try_into() {
-            Ok(paths) => paths,
-            Err(_) => bail!("{}", Self::USAGE),
-        };
-        ensure!((1..=20).contains(&poses), "--poses must be 1 to 20");
-        Ok(Self {
-            input,
-            output,
-            from,
-            seconds,
-            poses,
-        })
+fn seconds(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value),
+        _ => Err("expected seconds, 0 or more".into()),
     }
-}
-
-fn number(arguments: &mut Peekable<impl Iterator<Item = String>>, flag: &str) -> Result<f32> {
-    let text = arguments
-        .next()
-        .with_context(|| format!("{flag} needs a number"))?;
-    let value: f32 = text.parse().with_context(|| format!("{flag} {text}"))?;
-    ensure!(
-        value.is_finite() && value >= 0.0,
-        "{flag} {text} is not 0 or more"
-    );
-    Ok(value)
 }
 
 /// The part of a JSON result that is drawn.
@@ -137,10 +113,8 @@ impl Dance {
                 let (words, _) = bytes.as_chunks::<4>();
                 let floats: Vec<f32> = words.iter().map(|w| f32::from_le_bytes(*w)).collect();
                 let (places, _) = floats.as_chunks::<3>();
-                places
-                    .chunks_exact(joints.max(1))
-                    .map(<[_]>::to_vec)
-                    .collect()
+                let poses = places.chunks_exact(joints.max(1));
+                poses.map(<[_]>::to_vec).collect()
             }
         };
         ensure!(!poses.is_empty(), "the dance has no frames");
@@ -181,23 +155,20 @@ fn draw(motion: &Motion, options: &Options) -> Result<Pixmap> {
     let first = ((options.from * motion.fps) as usize).min(last);
     let length = options.seconds.map_or(last, |s| (s * motion.fps) as usize);
     let end = (first + length).min(last);
-    let frame_of = |pose: usize| first + (end - first) * pose / (options.poses - 1).max(1);
+    let poses = options.poses as usize;
+    let frame_of = |pose: usize| first + (end - first) * pose / (poses - 1).max(1);
 
     let mut canvas = Canvas::new()?;
     let strip = WIDTH as f32 - MAP - 2.0 * MARGIN;
-    let column = strip / options.poses as f32;
+    let column = strip / poses as f32;
     let scale = (column / 0.78).min(230.0);
-    canvas.line(
-        &[(MARGIN, FLOOR), (MARGIN + strip, FLOOR)],
-        GROUND,
-        2.0,
-        1.0,
-    );
-    for pose in 0..options.poses {
+    let floor = [(MARGIN, FLOOR), (MARGIN + strip, FLOOR)];
+    canvas.line(&floor, GROUND, 2.0, 1.0);
+    for pose in 0..poses {
         let centre = MARGIN + column * (pose as f32 + 0.5);
         draw_pose(&mut canvas, motion, frame_of(pose), centre, scale);
     }
-    let marks: Vec<usize> = (0..options.poses).map(frame_of).collect();
+    let marks: Vec<usize> = (0..poses).map(frame_of).collect();
     draw_map(&mut canvas, motion, first..=end, &marks);
     Ok(canvas.pixmap)
 }
@@ -214,18 +185,14 @@ fn draw_pose(canvas: &mut Canvas, motion: &Motion, frame: usize, centre: f32, sc
         };
         for before in frame.saturating_sub(back)..frame {
             let age = (frame - before) as f32 / back.max(1) as f32;
-            // Relative to where the dancer was then, as if the camera followed.
+            // Relative to the root of that frame, as if the camera followed.
             let then = motion.poses[before][0];
             let seen = |frame: usize| {
                 let [x, y, z] = motion.poses[frame][hand];
                 project([x - then[0] + root[0], y, z])
             };
-            canvas.line(
-                &[seen(before), seen(before + 1)],
-                colour,
-                3.0,
-                0.45 * (1.0 - age),
-            );
+            let ends = [seen(before), seen(before + 1)];
+            canvas.line(&ends, colour, 3.0, 0.45 * (1.0 - age));
         }
     }
 
@@ -233,7 +200,7 @@ fn draw_pose(canvas: &mut Canvas, motion: &Motion, frame: usize, centre: f32, sc
     let mut bones: Vec<(usize, usize)> = (0..pose.len())
         .filter_map(|joint| Some((motion.parent(joint)?, joint)))
         .collect();
-    // The camera stands at +z: what is nearer is drawn later.
+    // The camera stands at +z: nearer bones are drawn later.
     bones.sort_by(|a, b| (pose[a.0][2] + pose[a.1][2]).total_cmp(&(pose[b.0][2] + pose[b.1][2])));
     let width = 0.058 * scale;
     for &(parent, joint) in &bones {
@@ -249,7 +216,7 @@ fn draw_pose(canvas: &mut Canvas, motion: &Motion, frame: usize, centre: f32, sc
     }
 }
 
-/// The way of the root over the floor: x to the right, z (the front) down.
+/// Draws the path of the root over the floor: x to the right, z (the front) down.
 fn draw_map(
     canvas: &mut Canvas,
     motion: &Motion,
@@ -268,14 +235,10 @@ fn draw_map(
         (0.5 * (low + high), high - low)
     };
     let ((x, wide), (z, deep)) = (bounds(&|p| p.0), bounds(&|p| p.1));
-    // A metre of floor around the way, so that a dancer on the spot is not blown up.
+    // A metre of floor around the path, so that small steps are not magnified.
     let scale = side / (wide.max(deep) + 1.0);
-    let project = |p: (f32, f32)| {
-        (
-            left + 0.5 * side + (p.0 - x) * scale,
-            top + 0.5 * side + (p.1 - z) * scale,
-        )
-    };
+    let (middle_x, middle_z) = (left + 0.5 * side, top + 0.5 * side);
+    let project = |p: (f32, f32)| (middle_x + (p.0 - x) * scale, middle_z + (p.1 - z) * scale);
     for metre in -20..=20 {
         let (gx, gz) = project((x.round() + metre as f32, z.round() + metre as f32));
         if (left..=left + side).contains(&gx) {
@@ -291,7 +254,8 @@ fn draw_map(
         let pose = &motion.poses[frame];
         let here = project((pose[0][0], pose[0][2]));
         if let (Some(l), Some(r)) = (motion.joint("l_hip"), motion.joint("r_hip")) {
-            // Across the hips, right to left, is +x when facing +z: a quarter turn on lies the front.
+            // From the right hip to the left is +x where the heading is +z: the front is a quarter
+            // turn further.
             let (dx, dz) = (pose[l][0] - pose[r][0], pose[l][2] - pose[r][2]);
             let length = dx.hypot(dz).max(1e-6);
             let front = (here.0 - dz / length * 20.0, here.1 + dx / length * 20.0);

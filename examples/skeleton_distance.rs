@@ -1,4 +1,4 @@
-//! How far the constant-length skeleton of BVH is from the model's own joint positions:
+//! Distance of BVH's constant-length skeleton from the model's own joint positions:
 //!
 //! ```text
 //! cargo run --release --example skeleton_distance -- song.mp3 [SEEDS]
@@ -14,7 +14,7 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
-    formats::Dance,
+    formats::GeneratedMotion,
     motion::forward,
 };
 
@@ -45,7 +45,11 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-fn measure(dance: &Dance, as_written: &mut Distances, root_fixed: &mut Distances) -> Result<()> {
+fn measure(
+    dance: &GeneratedMotion,
+    as_written: &mut Distances,
+    root_fixed: &mut Distances,
+) -> Result<()> {
     let skeleton = forward(&dance.skeleton, &dance.animation)?;
     for (decoded, posed) in dance.positions.outer_iter().zip(skeleton.outer_iter()) {
         for (a, b) in decoded.outer_iter().zip(posed.outer_iter()) {
@@ -67,11 +71,8 @@ struct Distances {
 
 impl Distances {
     fn add(&mut self, difference: [f32; 3]) {
-        let length = difference
-            .map(|d| f64::from(d).powi(2))
-            .iter()
-            .sum::<f64>()
-            .sqrt();
+        let squares = difference.map(|d| f64::from(d).powi(2));
+        let length = squares.iter().sum::<f64>().sqrt();
         self.sum += length;
         self.largest = self.largest.max(length);
         self.count += 1;

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # About 20 minutes on two idle cores, and some minutes more the first time, for the songs' features.
 #
-# Trains a small model and the same model with one part left out at a time (paper Table 2), lets
-# each dance to the test songs with two seeds, evaluates the dances, and prints a Markdown table.
-# docs/training.md, "Ablations", says what that can show. Started again it goes on where it was
-# stopped; variants that are finished are left alone.
+# Trains a small model and the same model with one part left out at a time (paper Table 2), generates
+# motion for the test songs with two seeds, evaluates it, and prints a Markdown table.
+# docs/training.md, "Ablations", says what that can show. A second start resumes; finished variants
+# stay as they are.
 #
 # Usage: scripts/ablations.sh [DATA]    (default: ../shared/data/salsa)
 #   OUT=DIR       where runs, dances and scores go (default: runs/ablations)

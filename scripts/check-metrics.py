@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Checks what is asked of the server's metrics: the Grafana dashboard and the alerts of Prometheus.
+"""Checks the queries for the server's metrics: the Grafana dashboard and the alerts of Prometheus.
 
 Every query must be PromQL that parses and use only metrics that the server has, with labels that
 these metrics have; the dashboard must show every metric, and be laid out without overlaps.
@@ -60,11 +60,11 @@ COLUMNS = 24
 
 
 class Problem(Exception):
-    """What is wrong, for people."""
+    """A problem, in words for people."""
 
 
 class Query:
-    """One PromQL expression: the metrics in it, checked."""
+    """The metrics of one PromQL expression, checked."""
 
     def __init__(self, text):
         self.metrics = set()
@@ -89,30 +89,30 @@ class Query:
         self.labels |= labels
 
     def check_legend(self, legend):
-        """Labels in a legend must be those of the metrics."""
+        """Checks that the labels in a legend are those of the metrics."""
         for label in re.findall(r"{{\s*(\w+)\s*}}", legend):
             if label not in self.labels:
                 raise Problem(f"no metric of the query has the label {label} of its legend")
 
 
 def without_variables(text):
-    """The query as Prometheus gets it, with something in the place of Grafana's variables."""
+    """Returns the query as Prometheus gets it, with placeholders for Grafana's variables."""
     return re.sub(r"\$\{?\w+\}?", "x", re.sub(r"\$__(rate_interval|interval|range)", "5m", text))
 
 
 def check_template(variable):
-    """The query of a dashboard's variable."""
+    """Checks the query of a dashboard's variable."""
     if variable["type"] == "datasource":
         return
     query = re.fullmatch(r"label_values\((.+), (\w+)\)", variable["query"]["query"])
     if not query:
-        raise Problem("is not asked for with label_values(metric, label)")
+        raise Problem("the query is not label_values(metric, label)")
     if query[2] not in Query(query[1]).labels:
         raise Problem(f"{query[1]} has no label {query[2]}")
 
 
 def check_panel(panel):
-    """One panel that is no row; returns the metrics that it shows."""
+    """Checks a panel that is no row; returns the metrics that it shows."""
     metrics = set()
     if not panel.get("description"):
         raise Problem("has no description")
@@ -127,7 +127,7 @@ def check_panel(panel):
 
 
 def check_place(panel, taken):
-    """A panel must lie within the grid and on no other."""
+    """Checks that a panel is within the grid and overlaps no other."""
     place = panel["gridPos"]
     if place["x"] + place["w"] > COLUMNS:
         raise Problem("does not fit into the columns")
@@ -139,7 +139,7 @@ def check_place(panel, taken):
 
 
 def named(what, check, *arguments):
-    """Says of what a problem is."""
+    """Calls a check; its problems name the place."""
     try:
         return check(*arguments)
     except Problem as problem:
@@ -149,7 +149,7 @@ def named(what, check, *arguments):
 
 
 def check_dashboard(path):
-    """The whole dashboard; returns what to say of it."""
+    """Checks the whole dashboard; returns a summary."""
     with open(path, encoding="utf-8") as file:
         dashboard = json.load(file)
     if dashboard["schemaVersion"] < 39:
@@ -174,7 +174,7 @@ def check_dashboard(path):
 
 
 def check_alert(rule):
-    """One alert."""
+    """Checks one alert."""
     Query(rule["expr"])
     if rule["labels"]["severity"] not in ("critical", "warning"):
         raise Problem("the severity is neither critical nor warning")
@@ -184,7 +184,7 @@ def check_alert(rule):
 
 
 def check_alerts(path):
-    """All alerts; returns what to say of them."""
+    """Checks all alerts; returns a summary."""
     with open(path, encoding="utf-8") as file:
         groups = yaml.safe_load(file)["groups"]
     rules = [rule for group in groups for rule in group["rules"]]
@@ -194,7 +194,7 @@ def check_alerts(path):
 
 
 def main(paths):
-    """Checks the files in their order and ends with the first problem."""
+    """Checks the files in order and ends with the first problem."""
     checks = (check_dashboard, check_alerts)
     if len(paths) != len(checks):
         sys.exit(__doc__)

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# What quantisation costs a model: equal codes and perplexity on recordings, then the figures of five
-# sets of dances each, made with the same seeds.
+# The cost of quantisation: equal codes and perplexity on recordings, then the figures of five sets
+# of motion each, generated with the same seeds.
 # Usage: scripts/compare-models.sh ORIGINAL MODEL [DATA [OUT]]
 #   ORIGINAL, MODEL  model directories with one VQ-VAE
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
 #   OUT    where dances go                                    (default target/comparison)
-# OPTIONS are passed on to `bailando generate`. BAILANDO and BAILANDO_TRAIN name the binaries (default
-# target/release/bailando and bailando-train).
+# OPTIONS are passed on to `bailando generate`. BAILANDO and BAILANDO_TRAIN name the binaries
+# (default target/release/bailando and bailando-train).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 

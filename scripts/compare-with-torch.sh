@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# A training step of the same networks in this program and in PyTorch, in turn, on the same threads.
+# Times a training step of the same networks in this program and in PyTorch, in turn, with the same
+# number of threads.
 # Usage: scripts/compare-with-torch.sh [PYTHON]   (a Python with torch; default python3)
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."

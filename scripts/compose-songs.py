@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Composes three half-minute songs that no model was trained on, as WAV files.
+"""Composes three songs of half a minute on which no model was trained, as WAV files.
 
 Usage: scripts/compose-songs.py FOLDER
 
-Hip-hop at 90 beats a minute, house at 128, drum and bass at 175. The same on every run: noise comes
-from a seeded generator. Python's standard library is all it needs.
+Hip-hop at 90 BPM, house at 128, drum and bass at 175. Every run gives the same songs: noise comes
+from a seeded generator. Needs only Python's standard library.
 """
 
 import array

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Does a dance count with the music?
+"""Measures whether dances keep the bar of their music.
 
     scripts/count-lock.py DATA DANCES...
 
-For every quarter of a second of a dance to a test song the most similar second of the training takes is
-found, facing and place removed, mirror images included. It was danced on a known count of its own music: the
-difference from the count of the song at hand says whether the dance keeps the bar. Printed is how
-concentrated these differences are, modulo one, two, four and eight counts (mean resultant length: 0 for
-any, 1 for always the same), for each folder of dances (PIECE.npy or PIECE.json, in it or one folder
-below), and for the test recordings themselves.
+For every quarter of a second of a dance to a test song, the script finds the most similar second of the
+training takes, with heading and place removed and mirror images included. That second was danced on a
+known count of its own music; its difference from the count of the song at hand shows whether the dance
+keeps the bar. The script prints how concentrated these differences are, modulo one, two, four and eight
+counts (mean resultant length: 0 for uniform, 1 for always the same), for each folder of dances
+(PIECE.npy or PIECE.json, in it or one folder below), and for the test recordings themselves.
 
 Needs numpy.
 """
@@ -20,10 +20,10 @@ import pathlib
 import numpy as np
 
 FPS = 60
-# A second is described by five poses.
+# Five poses describe a second.
 OFFSETS = np.arange(0, 49, 12)
 MIDDLE = 24
-# Frames from one second that is described to the next.
+# Frames between the starts of described seconds.
 KNOWN_EVERY, ASKED_EVERY = 2, 15
 CYCLES = (1, 2, 4, 8)
 LEFT_HIP, RIGHT_HIP = 1, 2
@@ -38,7 +38,7 @@ def positions(path):
 
 
 def described(motion):
-    """Frames in the middle of seconds, and what these look like to somebody who turns with the dancer."""
+    """Returns the frames in the middle of seconds, and these seconds in the dancer's own frame."""
     motion = motion - motion[:, :1]
     across = motion[:, LEFT_HIP] - motion[:, RIGHT_HIP]
     angle = np.arctan2(across[:, 2], across[:, 0])[:, None]
@@ -52,7 +52,7 @@ def described(motion):
 
 
 def counts(piece, frames):
-    """The song's count at these frames, in parts of one; NaN outside of it."""
+    """Returns the song's count at these frames, with fractions; NaN outside of the song."""
     grid = np.array(piece["grid_beats_s"])
     count = np.interp(frames / FPS, grid, np.arange(len(grid)), left=np.nan, right=np.nan)
     return count + piece["first_count"] - 1
@@ -77,7 +77,7 @@ class Repertoire:
         self.squares = (self.looks**2).sum(1)
 
     def differences(self, piece, motion):
-        """Counts of what is most similar, less the song's."""
+        """Returns the counts of the most similar seconds, less the song's."""
         frames, look = described(motion)
         look = look(ASKED_EVERY)
         nearest = (self.squares - 2 * look @ self.looks.T).argmin(1)

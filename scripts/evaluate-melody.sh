@@ -1,13 +1,15 @@
 #!/usr/bin/env bash
-# What docs/evaluation.md says of the ballroom set: its test songs danced to by a model that was trained on its other
-# pieces, three times with three candidates and three times with one; the recordings through the VQ-VAE alone; whether
-# the model hears; and all that as ratios to the recordings' own row, beside those of published tables.
-# Five to seven minutes on two cores.
+# The figures of docs/evaluation.md on the ballroom set: motion for its test songs by a model that was
+# trained on its other pieces, three times with three candidates and three times with one; the
+# recordings through the VQ-VAE alone; the conditioning on the music; and all that as ratios to the
+# recordings' own row, beside those of published tables. Five to seven minutes on two cores.
 # Usage: scripts/evaluate-melody.sh MODEL [DATA [OUT]]
-#   MODEL  model directory; one that is trained on this set is for this measurement and may not be committed
-#   DATA   data folder with a test split, songs and grid_beats_s  (default ../shared/data/dance-with-melody)
-#   OUT    where dances and scores go                             (default target/melody)
-# BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and bailando-train).
+#   MODEL  model directory; a model of this set is for this measurement and may not be committed
+#   DATA   data folder with a test split, songs and grid_beats_s
+#          (default ../shared/data/dance-with-melody)
+#   OUT    where motion and scores go  (default target/melody)
+# BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and
+# bailando-train).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -18,12 +20,15 @@ bailando=${BAILANDO:-target/release/bailando}
 trainer=${BAILANDO_TRAIN:-target/release/bailando-train}
 
 mkdir -p "$out"
+# The test pieces whose song is there: the set may keep all motions and only some of the songs.
 pieces() {
-    python3 -c 'import json, sys
-for piece in json.load(open(sys.argv[1]))["pieces"]:
-    if piece["split"] == "test":
-        print(piece["id"], piece["audio"])' "$data/index.json"
+    python3 -c 'import json, os, sys
+folder = sys.argv[1]
+for piece in json.load(open(f"{folder}/index.json"))["pieces"]:
+    if piece["split"] == "test" and os.path.exists(os.path.join(folder, piece["audio"])):
+        print(piece["id"], piece["audio"])' "$data"
 }
+[ -n "$(pieces)" ] || { echo "evaluate-melody: no test piece of $data has its song." >&2; exit 1; }
 
 # dance FOLDER CANDIDATES
 dance() {

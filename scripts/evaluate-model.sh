@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
-# The figures of a model card: the test split of a data folder danced to by a model, a few times, and
-# measured against the recordings; the recordings through its VQ-VAE alone, measured the same way;
-# whether it hears; and ten dances each to songs of other genres (and DATA/demo/demo.flac, if there is one).
+# The figures of a model card: a model's motion for the test split of a data folder, a few times,
+# against the recordings; the recordings through its VQ-VAE alone, measured the same way; its
+# conditioning on the music; and ten motions each for songs of other genres (and for
+# DATA/demo/demo.flac, if it exists).
 # Usage: scripts/evaluate-model.sh [MODEL [DATA [OUT]]]
 #   MODEL  model directory           (default models/default)
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
 #   OUT    where dances and the plot go                       (default target/evaluation)
-# BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and bailando-train),
-# SEEDS says how many dances there are to every song of the test split (default 3).
+# BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and
+# bailando-train), SEEDS is the number of motions for every song of the test split (default 3).
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 

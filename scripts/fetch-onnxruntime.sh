@@ -1,9 +1,9 @@
 #!/bin/sh
 # Fetches the ONNX Runtime shared library that bailando loads at run time.
 #
-# The library comes out of the official PyPI wheel, because pip is the one downloader that people
-# behind a mirror or a proxy already have configured. Both the wheel and the library in it are
-# pinned by SHA-256: nothing that was not seen when the pins were written is ever installed.
+# The library comes out of the official PyPI wheel, because people behind a mirror or a proxy have pip
+# configured already. Both the wheel and the library in it are pinned by SHA-256: nothing else is ever
+# installed.
 #
 # Usage: scripts/fetch-onnxruntime.sh [--dest DIR]
 #   --dest DIR   where to install (default: .onnxruntime in the project)

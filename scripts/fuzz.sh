@@ -1,9 +1,9 @@
 #!/bin/sh
-# Runs fuzz targets one after another, from the seeds in fuzz/corpus/ and from what earlier runs
-# found (fuzz/grown/, which git ignores).
+# Runs fuzz targets one after another, from the seeds in fuzz/corpus/ and from the findings of earlier
+# runs (fuzz/grown/, which git ignores).
 #
 # Usage: scripts/fuzz.sh SECONDS [TARGET ..]   (no target: all of them)
-# What breaks a target is written to fuzz/artifacts/TARGET/ and ends the run.
+# An input that breaks a target is written to fuzz/artifacts/TARGET/ and ends the run.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -23,7 +23,7 @@ cargo +nightly --version >/dev/null 2>&1 || fail "fuzzing needs a nightly compil
 cargo +nightly fuzz --version >/dev/null 2>&1 || fail "cargo-fuzz is missing.
   Install it: cargo install cargo-fuzz --locked"
 
-# The dependencies that are shipped, not newer ones.
+# Fuzz the dependencies that are shipped, not newer ones.
 [ fuzz/Cargo.lock -nt Cargo.lock ] || cp Cargo.lock fuzz/Cargo.lock
 
 for target in "$@"; do

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
-# Builds and tries the container image on a machine that can run neither docker nor podman and
-# reaches no image registry (a virtual machine for continuous integration, a sandbox).
+# Builds and tests the container image on a machine that can run neither docker nor podman and reaches
+# no image registry (a virtual machine for continuous integration, a sandbox).
 #
-# buildah carries out the real Dockerfile, isolated by chroot alone. Its two base images are
-# stand-ins made here: Debian by debootstrap from this machine's mirror, and on it, for the builder,
-# this machine's Rust toolchain. The result is then started as the image says (user, environment,
-# working folder, command) in a read-only root, asked for a dance, and measured.
+# buildah executes the real Dockerfile, isolated by chroot alone. Stand-ins replace its two base images:
+# Debian by debootstrap from this machine's mirror, and on it, for the builder, this machine's Rust
+# toolchain. The script then starts the result as the image says (user, environment, working folder,
+# command) in a read-only root, requests a dance, and measures it.
 #
 # Usage: scripts/rehearse-image.sh [--work DIR] [--song FILE] [--no-server]
 #   --work DIR    scratch folder, 3 GB (default: target/image-rehearsal)
-#   --song FILE   what to dance to (default: tests/fixtures/audio/demo.mp3)
+#   --song FILE   the song (default: tests/fixtures/audio/demo.mp3)
 #   --no-server   build and measure only
 # Needs root, Debian or Ubuntu, and: debootstrap buildah curl python3 cargo
 set -euo pipefail
@@ -46,7 +46,7 @@ curl python3 util-linux; cargo from https://rustup.rs"
     done
 }
 
-# The mirror that this machine's own apt uses; debootstrap's default where it has none for the suite.
+# Prints the mirror that this machine's own apt uses; nothing where it has none for the suite.
 mirror() {
     # shellcheck disable=SC2016 # apt fills the field in
     apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' "Codename: $suite" \
@@ -100,8 +100,8 @@ make_rust() {
     rm "$work/rust.tar"
 }
 
-# What a machine behind a mirror or a proxy has set up: certificates, cargo's and pip's settings.
-# Given to the build steps as mounts, so that none of it ends in the image.
+# Collects the settings of a machine behind a mirror or a proxy: certificates, cargo's and pip's
+# settings. The build steps get them as mounts, so that none of them ends in the image.
 collect_settings() {
     local cargo_home=${CARGO_HOME:-$HOME/.cargo}
     rm -rf "$work/settings"
@@ -111,7 +111,7 @@ collect_settings() {
     for file in config.toml config; do
         [ ! -f "$cargo_home/$file" ] || cp "$cargo_home/$file" "$work/settings/cargo/"
     done
-    # Both folders: installing `ca-certificates` makes the first anew from the second.
+    # Both folders: installing `ca-certificates` rebuilds the first from the second.
     settings=(--volume "$work/settings/certs:/etc/ssl/certs"
         --volume /usr/local/share/ca-certificates:/usr/local/share/ca-certificates:ro
         --volume "$work/settings/cargo:/usr/local/cargo")
@@ -128,7 +128,7 @@ build_image() {
         --tag "$image" . 2>&1 | tee "$work/build.log"
 }
 
-# Prints what a Python expression over the image's configuration gives, an item a line.
+# Prints the items of a Python expression over the image's configuration, one on each line.
 image_setting() {
     storage inspect --type image "$image" | python3 -c "
 import json, sys
@@ -159,7 +159,7 @@ measure_root() {
     [ -z "$missing" ] || fail "shared libraries are missing: $missing"
 }
 
-# Runs a command as the image would: its user, environment and folder, nothing writable.
+# Runs a command as the image would: with its user, environment and folder, and nothing writable.
 inside() {
     local user folder environment
     user=$(image_setting '[config["User"]]')

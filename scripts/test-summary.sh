@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Runs a `cargo test .. -- --show-output` and closes with one line over all of its test binaries:
 #   P passed, F failed, S skipped
-# A test that needs something this machine does not have prints a line `skipped: <why>` and
-# returns; libtest counts it as passed and hides the line. Here it counts as skipped, as do ignored
-# tests. The output of passing tests goes to the log alone, failures are shown in full, and the
-# status is that of the command.
+# A test that needs something this machine does not have prints a line `skipped: <why>` and returns;
+# libtest counts it as passed and hides the line. Here it counts as skipped, as do ignored tests. The
+# output of passing tests goes to the log alone, failures are shown in full, and the status is that of
+# the command.
 #
 # Usage: scripts/test-summary.sh LOG COMMAND [ARGUMENT ..]
 set -euo pipefail

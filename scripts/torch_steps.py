@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Seconds per training step of the same networks in PyTorch, for scripts/compare-with-torch.sh.
+"""Times a training step of the same networks in PyTorch, for scripts/compare-with-torch.sh.
 
 Both halves of a pose VQ-VAE (width 256, 32 x 240 frames) and a motion GPT (6 blocks of 256 channels,
 32 x 29 codes), float32, with Adam. Prints one JSON object.

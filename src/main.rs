@@ -4,8 +4,8 @@ mod cli;
 
 use std::process::ExitCode;
 
-/// Also that of ONNX Runtime: the memory of a burst of dances is given back, where that of the C library
-/// is kept in pieces (docs/operations.md).
+/// The allocator of ONNX Runtime too: it returns the memory of a burst of requests to the system,
+/// which the C library's would keep in fragments (docs/operations.md).
 #[cfg(not(target_env = "msvc"))]
 #[global_allocator]
 static ALLOCATOR: tikv_jemallocator::Jemalloc = tikv_jemallocator::Jemalloc;

@@ -14,8 +14,8 @@ use bailando::{
     CancelToken,
     engine::GenerationOptions,
     evaluation::{Motion, speed},
-    formats::Dance,
-    motion::{beat_nearness, dance_beats, slow_share},
+    formats::GeneratedMotion,
+    motion::{beat_align_score, dance_beats, slow_share},
 };
 use bailando_testkit::song as fixture;
 use bailando_testkit::wav::wav16;
@@ -24,18 +24,18 @@ use demo::choreographer;
 const FPS: f64 = 60.0;
 
 /// The demo song danced to.
-fn dance(options: &GenerationOptions) -> Dance {
+fn dance(options: &GenerationOptions) -> GeneratedMotion {
     dance_to(fixture("demo.ogg"), options)
 }
 
-fn dance_to(audio: Vec<u8>, options: &GenerationOptions) -> Dance {
+fn dance_to(audio: Vec<u8>, options: &GenerationOptions) -> GeneratedMotion {
     choreographer()
         .generate(audio.into(), options, &CancelToken::new())
         .unwrap()
 }
 
 /// Metres that the mean joint moves from each frame to the next.
-fn speeds(dance: &Dance) -> Vec<f64> {
+fn speeds(dance: &GeneratedMotion) -> Vec<f64> {
     let motion = Motion::new("demo", dance.positions.view()).unwrap();
     speed(motion.poses())
 }
@@ -55,7 +55,7 @@ fn beat_score(candidates: usize) -> f64 {
             .iter()
             .map(|second| (second * FPS).round() as usize)
             .collect();
-        beat_nearness(&music, &dance_beats(&speeds(&dance)))
+        beat_align_score(&music, &dance_beats(&speeds(&dance)))
     });
     scores.sum::<f64>() / SEEDS.count() as f64
 }

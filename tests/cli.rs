@@ -3,26 +3,28 @@
 #![allow(
     clippy::expect_used,
     clippy::print_stdout,
-    unreachable_pub,
     reason = "helpers of tests: failing loudly is their job"
 )]
 
 use std::{
-    path::{Path, PathBuf},
+    fs,
+    path::Path,
     process::{Command, Output},
 };
 
 use bailando::model::{Manifest, ModelDirectory};
+use bailando_testkit::project;
 use ndarray::{Array2, Array3};
+use tempfile::TempDir;
 
 const SONG: &str = "tests/fixtures/audio/demo.ogg";
 /// Eight seconds.
 const WAV: &str = "tests/fixtures/audio/demo_44k1_8s.wav";
 
-fn bailando(arguments: &[&str]) -> Output {
+fn bailando(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
     command
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .current_dir(folder)
         .args(arguments)
         .env("COLUMNS", "100");
     for (name, _) in std::env::vars_os() {
@@ -33,38 +35,55 @@ fn bailando(arguments: &[&str]) -> Output {
     command.output().expect("the binary runs")
 }
 
-fn succeed(arguments: &[&str]) -> String {
-    let output = bailando(arguments);
-    let errors = String::from_utf8_lossy(&output.stderr);
+/// Standard output of a command that must work, in a folder.
+fn succeed_in(folder: &Path, arguments: &[&str]) -> (String, String) {
+    let output = bailando(folder, arguments);
+    let errors = String::from_utf8(output.stderr).expect("UTF-8");
     assert!(output.status.success(), "{arguments:?}: {errors}");
-    String::from_utf8(output.stdout).expect("UTF-8")
+    (String::from_utf8(output.stdout).expect("UTF-8"), errors)
+}
+
+/// The same in the project's folder, the arguments separated by spaces.
+fn succeed(arguments: &str) -> String {
+    let arguments: Vec<&str> = arguments.split_whitespace().collect();
+    succeed_in(&project(""), &arguments).0
 }
 
 /// Exit code and standard error of a command that must not work.
-fn fail(arguments: &[&str]) -> (Option<i32>, String) {
-    let output = bailando(arguments);
-    assert!(!output.status.success(), "{arguments:?} worked");
-    (
-        output.status.code(),
-        String::from_utf8_lossy(&output.stderr).into_owned(),
-    )
+fn fail(arguments: &str) -> (Option<i32>, String) {
+    let words: Vec<&str> = arguments.split_whitespace().collect();
+    let output = bailando(&project(""), &words);
+    assert!(!output.status.success(), "{arguments} worked");
+    let errors = String::from_utf8(output.stderr).expect("UTF-8");
+    (output.status.code(), errors)
 }
 
 fn default_manifest() -> Manifest {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default");
-    let directory = ModelDirectory::open(&folder).expect("the default model");
+    let directory = ModelDirectory::open(&project("models/default")).expect("the default model");
     directory.manifest().clone()
 }
 
-fn path(folder: &Path, name: &str) -> (PathBuf, String) {
-    let path = folder.join(name);
-    let text = path.to_str().expect("UTF-8").to_owned();
-    (path, text)
+fn folder() -> TempDir {
+    tempfile::tempdir().expect("a folder")
+}
+
+fn path(folder: &TempDir, name: &str) -> String {
+    let path = folder.path().join(name);
+    path.to_str().expect("UTF-8").to_owned()
+}
+
+fn json(path: &str) -> serde_json::Value {
+    let text = fs::read(path).expect("a file");
+    serde_json::from_slice(&text).expect("JSON")
+}
+
+fn npy<T: ndarray_npy::ReadNpyExt>(path: &str) -> T {
+    ndarray_npy::read_npy(path).expect("npy")
 }
 
 #[test]
 fn help_is_the_reference() {
-    insta::assert_snapshot!("help", succeed(&["--help"]));
+    insta::assert_snapshot!("help", succeed("--help"));
     for command in [
         "serve",
         "generate",
@@ -74,120 +93,85 @@ fn help_is_the_reference() {
         "bench",
         "healthcheck",
     ] {
-        insta::assert_snapshot!(format!("help_{command}"), succeed(&[command, "--help"]));
+        let help = succeed(&format!("{command} --help"));
+        insta::assert_snapshot!(format!("help_{command}"), help);
     }
 }
 
 /// A bench of the shortest kind: every figure is there, none is judged.
 #[test]
 fn a_bench_measures_every_part() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let file = |name: &str| path(folder.path(), name);
-    let ((_, json), (_, plot), (_, baseline)) =
-        (file("b.json"), file("b.svg"), file("baseline.json"));
+    let folder = folder();
+    let [figures, plot, baseline] = ["b.json", "b.svg", "base.json"].map(|n| path(&folder, n));
     let times = r#"{"stages": {"features_3840": 1000.0}, "code_s": {"1": 2000.0}}"#;
-    std::fs::write(&baseline, times).expect("a file");
-    let arguments = [
-        "bench",
-        WAV,
-        "--threads",
-        "1",
-        "--repeats",
-        "1",
-        "--lengths",
-        "3,6",
-        "--callers",
-        "2",
-        "--batch-codes",
-        "9",
-        "--baseline",
-        &baseline,
-        "--json",
-        &json,
-        "--plot",
-        &plot,
-    ];
-    let table = succeed(&arguments);
+    fs::write(&baseline, times).expect("a file");
+    let table = succeed(&format!(
+        "bench {WAV} --threads 1 --repeats 1 --lengths 3,6 --callers 2 --batch-codes 9 \
+         --baseline {baseline} --json {figures} --plot {plot}"
+    ));
     assert!(table.contains("x faster than 1000.00 s"), "{table}");
     assert!(table.contains("x faster than 2000000.00"), "{table}");
-    let text = std::fs::read_to_string(&json).expect("figures");
-    let figures: serde_json::Value = serde_json::from_str(&text).expect("JSON");
-    let positive = |place: &str| {
-        let found = figures.pointer(place).and_then(serde_json::Value::as_f64);
-        assert!(found.is_some_and(|value| value > 0.0), "{place}: {found:?}");
-    };
+    let figures = json(&figures);
     for place in [
         "/start_s",
         "/stages/0/seconds",
         "/steps/0/floor_s",
         "/steps/0/steps/4/seconds",
-        "/steps/0/prime_s",
+        "/steps/0/prefill_s",
         "/steps/0/code_s",
         "/throughput/one_after_another_s",
         "/throughput/at_once_s",
         "/load/0/p95_s",
         "/lengths/1/elapsed_s",
     ] {
-        positive(place);
+        let found = figures.pointer(place).and_then(serde_json::Value::as_f64);
+        assert!(found.is_some_and(|value| value > 0.0), "{place}: {found:?}");
     }
     assert_eq!(figures["throughput"]["same_codes"], true);
     // 46 rows of eight frames.
     assert_eq!(figures["lengths"][1]["frames"], 368);
-    let svg = std::fs::read_to_string(&plot).expect("a plot");
+    let svg = fs::read_to_string(&plot).expect("a plot");
     assert!(svg.contains("seconds of music"), "{svg}");
 }
 
 #[test]
 fn wrong_use_exits_with_2_and_failure_with_1() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let (_, json) = path(folder.path(), "dance.json");
-    let (_, glb) = path(folder.path(), "dance.glb");
-    let (_, lost) = path(folder.path(), "no/such/folder/dance.json");
-    let usage: [&[&str]; 13] = [
-        &["bench", SONG, "--threads", "0"],
-        &["bench", SONG, "--lengths", "-3"],
-        &["codebook"],
-        &["codebook", "-o", &lost, "--sort", "uses"],
-        &["codebook", "-o", &lost, "--columns", "0"],
-        &["generate", SONG, "-o", &lost],
-        &["generate", SONG, "-o", &json, "--max-audio-seconds", "nan"],
-        &[
-            "generate",
-            "--features",
-            "f.npy",
-            "--codes-out",
-            "c.npy",
-            "--fps",
-            "30",
-        ],
-        &["dance"],
-        &["generate", SONG],
-        &["generate", SONG, "-o", &glb],
-        &["generate", SONG, "-o", &json, "--fps", "25"],
-        &["generate", SONG, SONG, "-o", &json],
-    ];
-    for arguments in usage {
+    let folder = folder();
+    let [json, glb] = ["dance.json", "dance.glb"].map(|name| path(&folder, name));
+    let lost = path(&folder, "no/such/folder/dance.json");
+    for arguments in [
+        "codebook",
+        &format!("bench {SONG} --threads 0"),
+        &format!("bench {SONG} --lengths -3"),
+        &format!("codebook -o {lost} --sort uses"),
+        &format!("codebook -o {lost} --columns 0"),
+        &format!("features {SONG} -o {json} --rate 30720 --count-periods 4"),
+        &format!("features {SONG} -o {json} --model-dir models/default --rate 3840"),
+        &format!("generate {SONG} -o {lost}"),
+        &format!("generate {SONG} -o {json} --max-audio-seconds nan"),
+        "generate --features f.npy --codes-out c.npy --fps 30",
+        "dance",
+        &format!("generate {SONG}"),
+        &format!("generate {SONG} -o {glb}"),
+        &format!("generate {SONG} -o {json} --fps 25"),
+        &format!("generate {SONG} {SONG} -o {json}"),
+    ] {
         let (code, message) = fail(arguments);
-        assert_eq!(code, Some(2), "{arguments:?}: {message}");
+        assert_eq!(code, Some(2), "{arguments}: {message}");
     }
-    let failures: [(&[&str], &str); 4] = [
+    let no_model = format!("generate {SONG} -o {json} --model-dir src");
+    let unreachable = "healthcheck --url http://127.0.0.1:1/health";
+    for (arguments, expected) in [
         (
-            &["generate", "no-such-song.mp3", "-o", &json],
+            &*format!("generate no-such-song.mp3 -o {json}"),
             "no-such-song.mp3",
         ),
-        (&["generate", "Cargo.toml", "-o", &json], "Cargo.toml"),
-        (
-            &["generate", SONG, "-o", &json, "--model-dir", "src"],
-            "manifest.json",
-        ),
-        (
-            &["healthcheck", "--url", "http://127.0.0.1:1/health"],
-            "127.0.0.1:1",
-        ),
-    ];
-    for (arguments, expected) in failures {
+        (&format!("generate Cargo.toml -o {json}"), "Cargo.toml"),
+        (&no_model, "manifest.json"),
+        (unreachable, "127.0.0.1:1"),
+    ] {
         let (code, message) = fail(arguments);
-        assert_eq!(code, Some(1), "{arguments:?}: {message}");
+        assert_eq!(code, Some(1), "{arguments}: {message}");
         assert!(message.contains(expected), "{message}");
         assert_eq!(message.trim_end().lines().count(), 1, "one line: {message}");
     }
@@ -195,204 +179,190 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
 
 #[test]
 fn a_song_becomes_json_bvh_and_npy_of_the_same_dance() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let write = |name: &str| {
-        let (path, text) = path(folder.path(), name);
-        succeed(&[
-            "generate",
-            SONG,
-            "-o",
-            &text,
-            "--seed",
-            "7",
-            "--duration-s",
-            "6",
-        ]);
+    let folder = folder();
+    let [document, positions, bvh] = ["a.json", "a.npy", "a.bvh"].map(|name| {
+        let path = path(&folder, name);
+        succeed(&format!(
+            "generate {SONG} -o {path} --seed 7 --duration-s 6"
+        ));
         path
-    };
-    let json: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(write("a.json")).expect("json")).expect("JSON");
-    let positions: Array3<f32> = ndarray_npy::read_npy(write("a.npy")).expect("npy");
-    let bvh = std::fs::read_to_string(write("a.bvh")).expect("bvh");
+    });
+    let json = json(&document);
+    let positions: Array3<f32> = npy(&positions);
+    let bvh = fs::read_to_string(bvh).expect("bvh");
 
     let frames = positions.dim().0;
-    assert!(
-        frames.abs_diff(360) <= 8,
-        "6 s at 60 fps, not {frames} frames"
-    );
+    let close = frames.abs_diff(360) <= 8;
+    assert!(close, "6 s at 60 fps, not {frames} frames");
     assert_eq!(json["frames"], frames);
     assert_eq!(json["seed"], 7);
     assert!(bvh.contains(&format!("Frames: {frames}")));
-    let hand = json["positions"][frames - 1][23][1]
-        .as_f64()
-        .expect("a number");
-    assert!((hand - f64::from(positions[[frames - 1, 23, 1]])).abs() < 1e-5);
+    let hand = json["positions"][frames - 1][23][1].as_f64();
+    let expected = f64::from(positions[[frames - 1, 23, 1]]);
+    assert!((hand.expect("a number") - expected).abs() < 1e-5);
 }
 
 #[test]
 fn several_songs_go_to_a_folder_and_a_bad_one_does_not_stop_the_rest() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let (out, out_text) = path(folder.path(), "dances");
-    let (code, message) = fail(&[
-        "generate",
-        "Cargo.toml",
-        SONG,
-        "--out-dir",
-        &out_text,
-        "--format",
-        "json",
-        "--duration-s",
-        "2",
-        "--seed",
-        "1",
-    ]);
+    let folder = folder();
+    let out = path(&folder, "dances");
+    let (code, message) = fail(&format!(
+        "generate Cargo.toml {SONG} --out-dir {out} --format json --duration-s 2 --seed 1"
+    ));
     assert_eq!(code, Some(1));
     assert!(message.contains("1 of 2 songs"), "{message}");
-    assert!(out.join("demo.json").is_file());
+    assert!(Path::new(&out).join("demo.json").is_file());
 }
 
 #[test]
 fn dots_in_a_songs_name_stay_in_the_dances_name() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let songs = ["01. B ft. C.ogg", "01. B ft. D.ogg"].map(|name| {
-        let (copy, text) = path(folder.path(), name);
-        let song = Path::new(env!("CARGO_MANIFEST_DIR")).join(SONG);
-        std::fs::copy(song, copy).expect("copied");
-        text
-    });
-    let (out, out_text) = path(folder.path(), "dances");
-    succeed(&[
+    let folder = folder();
+    let names = ["01. B ft. C", "01. B ft. D"];
+    let songs = names.map(|name| path(&folder, &format!("{name}.ogg")));
+    for song in &songs {
+        fs::copy(project(SONG), song).expect("copied");
+    }
+    let arguments = [
         "generate",
         &songs[0],
         &songs[1],
         "--out-dir",
-        &out_text,
+        "out",
         "--duration-s",
         "1",
-    ]);
-    assert!(out.join("01. B ft. C.bvh").is_file());
-    assert!(out.join("01. B ft. D.bvh").is_file());
+    ];
+    let model = project("models/default");
+    let model = ["--model-dir", model.to_str().expect("UTF-8")];
+    succeed_in(folder.path(), &[&arguments[..], &model].concat());
+    for name in names {
+        assert!(folder.path().join(format!("out/{name}.bvh")).is_file());
+    }
 }
 
 #[test]
 fn rows_that_declare_more_than_they_hold_are_refused() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let (rows, rows_text) = path(folder.path(), "rows.npy");
-    let (_, codes) = path(folder.path(), "codes.npy");
+    let folder = folder();
+    let [rows, codes] = ["rows.npy", "codes.npy"].map(|name| path(&folder, name));
     let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (1000000000000, 438), }\n";
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((header.len() as u16).to_le_bytes());
-    bytes.extend(header.as_bytes());
-    std::fs::write(rows, bytes).expect("written");
-    let (code, message) = fail(&["generate", "--features", &rows_text, "--codes-out", &codes]);
+    let length = (header.len() as u16).to_le_bytes();
+    let bytes = [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes()].concat();
+    fs::write(&rows, bytes).expect("written");
+    let (code, message) = fail(&format!("generate --features {rows} --codes-out {codes}"));
     assert_eq!(code, Some(1), "{message}");
-    assert!(
-        message.contains("rows.npy: not a matrix of float32"),
-        "{message}"
-    );
+    let expected = "rows.npy: not a matrix of float32";
+    assert!(message.contains(expected), "{message}");
 }
 
 #[test]
 fn features_and_rows_give_the_codes_of_the_song() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let (rows_path, rows_text) = path(folder.path(), "rows.npy");
-    let (codes_path, codes_text) = path(folder.path(), "codes.npy");
-    let (positions_path, positions_text) = path(folder.path(), "positions.npy");
+    let folder = folder();
+    let [rows, codes, positions, song] =
+        ["rows.npy", "codes.npy", "positions.npy", "song.json"].map(|name| path(&folder, name));
     let model = default_manifest();
-    let [upper, lower] = model.start_codes[0].map(|code| code.to_string());
+    let [upper, lower] = model.start_codes[0];
+    succeed(&format!(
+        "features {SONG} -o {rows} --model-dir models/default"
+    ));
+    let features: Array2<f32> = npy(&rows);
+    assert_eq!(features.dim(), (226, model.features.columns));
     let periods = model.features.count_periods.iter().map(u32::to_string);
     let periods = periods.collect::<Vec<_>>().join(",");
-    let mut features = vec!["features", SONG, "-o", &rows_text];
     if !periods.is_empty() {
-        features.extend(["--count-periods", &periods]);
+        succeed(&format!(
+            "features {SONG} -o {rows} --count-periods {periods}"
+        ));
+        assert_eq!(features, npy::<Array2<f32>>(&rows));
     }
-    succeed(&features);
-    let rows: Array2<f32> = ndarray_npy::read_npy(rows_path).expect("npy");
-    assert_eq!(rows.dim(), (226, model.features.columns));
-    succeed(&[
-        "generate",
-        "--features",
-        &rows_text,
-        "--start-upper",
-        &upper,
-        "--start-lower",
-        &lower,
-        "--window",
-        "hop",
-        "--hop",
-        "15",
-        "--seed",
-        "3",
-        "--codes-out",
-        &codes_text,
-        "--positions-out",
-        &positions_text,
-    ]);
-    let codes: Array2<i64> = ndarray_npy::read_npy(codes_path).expect("npy");
-    let positions: Array3<f32> = ndarray_npy::read_npy(positions_path).expect("npy");
+    let start = format!("--start-upper {upper} --start-lower {lower} --hop 15 --seed 3");
+    succeed(&format!(
+        "generate --features {rows} {start} --window hop --codes-out {codes} \
+         --positions-out {positions}"
+    ));
+    let codes: Array2<i64> = npy(&codes);
+    let positions: Array3<f32> = npy(&positions);
     assert_eq!(codes.dim(), (2, 226));
     let first = [codes[[0, 0]], codes[[1, 0]]];
     assert_eq!(first, model.start_codes[0].map(i64::from));
     assert_eq!(positions.dim(), (8 * 226, 24, 3));
-    assert_eq!(
-        positions[[0, 0, 1]],
-        0.0,
-        "raw positions begin at the origin"
-    );
+    let origin = positions[[0, 0, 1]];
+    assert_eq!(origin, 0.0, "raw positions begin at the origin");
 
-    let json = path(folder.path(), "song.json");
-    succeed(&[
-        "generate",
-        SONG,
-        "-o",
-        &json.1,
-        "--start-upper",
-        &upper,
-        "--start-lower",
-        &lower,
-        "--hop",
-        "15",
-        "--seed",
-        "3",
-        // Rows tell no beats to choose candidates by.
-        "--candidates",
-        "1",
-    ]);
-    let dance: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(json.0).expect("json")).expect("JSON");
-    for (half, name) in ["upper", "lower"].iter().enumerate() {
+    // Rows have no beats to choose candidates by.
+    succeed(&format!("generate {SONG} -o {song} {start} --candidates 1"));
+    let dance = json(&song);
+    for (half, name) in ["upper", "lower"].into_iter().enumerate() {
         let from_song: Vec<i64> =
             serde_json::from_value(dance["codes"][name].clone()).expect("codes");
         assert_eq!(from_song, codes.row(half).to_vec());
     }
 }
 
+/// The two commands as README.md has them, run in a folder with a song and the models.
+#[cfg(unix)]
+#[test]
+fn the_documented_way_over_feature_rows_works_as_written() {
+    const FEATURES: &str = "bailando features song.mp3 -o features.npy --model-dir models/default";
+    const GENERATE: &str = "bailando generate --features features.npy --codes-out codes.npy \
+        --positions-out positions.npy";
+    let folder = folder();
+    fs::copy(
+        project("tests/fixtures/audio/demo.mp3"),
+        folder.path().join("song.mp3"),
+    )
+    .expect("copied");
+    std::os::unix::fs::symlink(project("models"), folder.path().join("models")).expect("linked");
+    let readme = fs::read_to_string(project("README.md")).expect("a README");
+    let run = |line: &str| {
+        let words: Vec<&str> = line.split_whitespace().skip(1).collect();
+        succeed_in(folder.path(), &words).1
+    };
+    for line in [FEATURES, GENERATE] {
+        assert!(readme.contains(line), "README.md lacks: {line}");
+        let errors = run(line);
+        assert!(!errors.contains("warning: features.npy"), "{errors}");
+    }
+    let codes: Array2<i64> = npy(&path(&folder, "codes.npy"));
+    let (rows, model) = (codes.ncols(), default_manifest());
+
+    // Without the model's columns there is a dance too, with a word about the better way.
+    run("bailando features song.mp3 -o features.npy");
+    assert_eq!(
+        npy::<Array2<f32>>(&path(&folder, "features.npy")).dim(),
+        (rows, 438)
+    );
+    let errors = run(GENERATE);
+    let counts = !model.features.count_periods.is_empty();
+    assert_eq!(
+        errors.contains("--model-dir models/default"),
+        counts,
+        "{errors}"
+    );
+    assert_eq!(
+        npy::<Array2<i64>>(&path(&folder, "codes.npy")).dim(),
+        (2, rows)
+    );
+}
+
 #[test]
 fn a_codebook_is_drawn_with_the_uses_of_its_codes() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let (codes, codes_text) = path(folder.path(), "codes.npy");
-    let (out, out_text) = path(folder.path(), "book");
-    let dance = Array2::from_shape_vec((2, 4), vec![7_i64, 7, 9, 9, 30, 30, 200, 7]);
-    ndarray_npy::write_npy(&codes, &dance.expect("two rows")).expect("written");
-    let arguments = ["codebook", "-o", &out_text, "--sort", "uses"];
-    let arguments = [&arguments[..], &["--pairs", "3", "--codes", &codes_text]].concat();
+    let folder = folder();
+    let [codes, out] = ["codes.npy", "book"].map(|name| path(&folder, name));
+    let dance = ndarray::array![[7_i64, 7, 9, 9], [30, 30, 200, 7]];
+    ndarray_npy::write_npy(&codes, &dance).expect("written");
+    let arguments = format!("codebook -o {out} --sort uses --pairs 3 --codes {codes}");
     let said = succeed(&arguments);
-    assert!(
-        said.contains("256 upper and 256 lower codes, 2 changes"),
-        "{said}"
-    );
+    let counted = "256 upper and 256 lower codes, 2 changes";
+    assert!(said.contains(counted), "{said}");
 
-    let read = |name: &str| std::fs::read_to_string(out.join(name)).expect(name);
-    let json: serde_json::Value = serde_json::from_str(&read("codebook.json")).expect("JSON");
+    let read = |name: &str| fs::read_to_string(format!("{out}/{name}")).expect(name);
+    let json = json(&format!("{out}/codebook.json"));
     assert_eq!(json["upper"]["codes"][7]["uses"], 2);
     assert_eq!(json["lower"]["codes"][200]["uses"], 1);
     assert_eq!(json["transitions"][0]["from"], serde_json::json!([7, 30]));
     for name in ["upper.svg", "lower.svg", "pairs.svg"] {
         let svg = read(name);
-        assert!(
-            svg.starts_with("<svg ") && svg.contains(&default_manifest().name),
-            "{name}"
-        );
+        let named = svg.contains(&default_manifest().name);
+        assert!(svg.starts_with("<svg ") && named, "{name}");
         assert!(read("index.html").contains(&svg), "{name}");
     }
     assert!(read("upper.svg").contains("\n7 (2×)\n"));

@@ -20,7 +20,7 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{GenerationOptions, Listener, Opening, Progress},
-    formats::{BvhUnit, Dance, JsonOptions, OutputFormat, Tail},
+    formats::{BvhUnit, Continuation, GeneratedMotion, JsonOptions, OutputFormat},
     motion::{Positions, forward, lower_foot_heights},
 };
 use bailando_testkit::song as fixture;
@@ -31,7 +31,7 @@ use ndarray::{Array2, Axis};
 const SONG_SECONDS: f64 = 30.0;
 const FPS: usize = 60;
 
-fn dance(audio: Vec<u8>, seed: u64) -> Dance {
+fn dance(audio: Vec<u8>, seed: u64) -> GeneratedMotion {
     let options = GenerationOptions {
         seed: Some(seed),
         music: true,
@@ -110,7 +110,7 @@ fn percentile(values: &[f32], share: f32) -> f32 {
 }
 
 /// DESIGN, "Standing on the floor".
-fn assert_on_the_floor(dance: &Dance, positions: &Positions, what: &str) {
+fn assert_on_the_floor(dance: &GeneratedMotion, positions: &Positions, what: &str) {
     let feet = lower_foot_heights(positions, &dance.skeleton);
     for (start, window) in feet.windows(5 * FPS).enumerate() {
         let low = percentile(window, 0.05);
@@ -122,7 +122,7 @@ fn assert_on_the_floor(dance: &Dance, positions: &Positions, what: &str) {
 }
 
 /// A human body in every frame, that moves, on the floor.
-fn assert_plausible_body(dance: &Dance, positions: &Positions, what: &str) {
+fn assert_plausible_body(dance: &GeneratedMotion, positions: &Positions, what: &str) {
     for frame in 0..positions.dim().0 {
         let pelvis = joint(positions, frame, 0)[1];
         assert!(
@@ -148,7 +148,7 @@ fn assert_plausible_body(dance: &Dance, positions: &Positions, what: &str) {
 
 /// The skeleton steps where the decoder does: it floats no more than the decoder's own feet do, and
 /// both have one root.
-fn assert_skeleton_follows(dance: &Dance, skeleton: &Positions, what: &str) {
+fn assert_skeleton_follows(dance: &GeneratedMotion, skeleton: &Positions, what: &str) {
     let decoder = lower_foot_heights(&dance.positions, &dance.skeleton);
     let posed = lower_foot_heights(skeleton, &dance.skeleton);
     let (mut floating, mut apart) = (0, 0);
@@ -174,7 +174,7 @@ fn assert_skeleton_follows(dance: &Dance, skeleton: &Positions, what: &str) {
     );
 }
 
-fn assert_plausible(dance: &Dance, what: &str) {
+fn assert_plausible(dance: &GeneratedMotion, what: &str) {
     assert_plausible_body(dance, &dance.positions, what);
     let skeleton = forward(&dance.skeleton, &dance.animation).unwrap();
     assert_plausible_body(dance, &skeleton, &format!("{what}, skeleton"));
@@ -291,12 +291,12 @@ fn a_stream_is_the_dance_in_pieces() {
             .unwrap();
         assert_eq!(ending.codes, whole.codes);
         // Chunks of other lengths differ in the last bits.
-        let tail = whole.tail.unwrap();
+        let tail = whole.continuation.unwrap();
         let end = ending.tail.unwrap();
         assert_eq!(end.codes, tail.codes);
-        let places = end.place.iter().zip(tail.place);
+        let places = end.position.iter().zip(tail.position);
         assert!(places.into_iter().all(|(a, b)| (a - b).abs() < 1e-3));
-        assert!((end.facing - tail.facing).abs() < 1e-3);
+        assert!((end.heading - tail.heading).abs() < 1e-3);
         let mut opening = recorder.opening.lock().unwrap().take().unwrap();
         assert_eq!(opening.frames, whole.positions.dim().0);
         assert_eq!(opening.music, whole.music);
@@ -329,7 +329,7 @@ fn a_stream_is_the_dance_in_pieces() {
 }
 
 /// A dance to a few seconds of the demo song from `offset_s` on.
-fn part(offset_s: f64, continue_from: Option<Tail>, root_motion: bool) -> Dance {
+fn part(offset_s: f64, continue_from: Option<Continuation>, root_motion: bool) -> GeneratedMotion {
     let options = GenerationOptions {
         seed: Some(8),
         continue_from,
@@ -346,12 +346,12 @@ fn part(offset_s: f64, continue_from: Option<Tail>, root_motion: bool) -> Dance 
 }
 
 /// The end of a dance over the wire and back.
-fn tail_of(dance: &Dance) -> Option<Tail> {
-    Some(dance.tail.as_ref()?.to_text().parse().unwrap())
+fn tail_of(dance: &GeneratedMotion) -> Option<Continuation> {
+    Some(dance.continuation.as_ref()?.to_text().parse().unwrap())
 }
 
 /// From the last frame of a dance to the first of the next no joint goes further than it does inside.
-fn assert_goes_on(first: &Dance, second: &Dance) {
+fn assert_goes_on(first: &GeneratedMotion, second: &GeneratedMotion) {
     let (last, next) = (
         first
             .positions
@@ -385,7 +385,7 @@ fn a_dance_goes_on_where_another_ended() {
     let elsewhere = part(8.0, None, true);
     assert_ne!(second.codes, elsewhere.codes);
     // And what a tail tells of another model is refused.
-    let foreign = Tail::new("00000000", first.codes.clone(), [0.0; 2], 0.0);
+    let foreign = Continuation::new("00000000", first.codes.clone(), [0.0; 2], 0.0);
     let options = GenerationOptions {
         continue_from: Some(foreign),
         ..GenerationOptions::default()
@@ -398,7 +398,7 @@ fn a_dance_goes_on_where_another_ended() {
 fn a_dance_goes_on_from_one_that_was_held_in_place() {
     let walked = part(0.0, None, true);
     let held = part(8.0, tail_of(&walked), false);
-    let place = |dance: &Dance| tail_of(dance).unwrap().place;
+    let place = |dance: &GeneratedMotion| tail_of(dance).unwrap().position;
     let [x, z] = place(&walked);
     assert!(x.hypot(z) > 0.2, "the first dance goes nowhere: {x} {z}");
     assert_eq!(place(&held), [0.0; 2]);

@@ -1,37 +1,23 @@
-//! The corpora of the fuzz targets on any compiler: every file, and mutations of them, through what
-//! the targets call.
+//! The corpora of the fuzz targets on any compiler: every file and mutations of it, through the
+//! functions that the targets call.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "tests stop where something is not as it should be"
-)]
-
-use std::{fs, path::Path};
-
-use bailando::{fuzzing, model::Manifest};
-use bailando_testkit::corpus::Corpus;
+use bailando::{audio, fuzzing, model};
+use bailando_testkit::{corpus::Corpus, project};
 
 fn corpus(target: &str) -> Corpus {
-    Corpus::read(
-        &Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus"),
-        target,
-    )
-}
-
-fn model() -> Manifest {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default/manifest.json");
-    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+    Corpus::read(&project("fuzz/corpus"), target)
 }
 
 #[test]
 fn containers() {
-    corpus("container").run(60, fuzzing::container);
+    corpus("container").run(60, audio::fuzzing::container);
 }
 
 #[test]
 fn options() {
-    let model = model();
-    corpus("options").run(2_000, |bytes| fuzzing::options(bytes, &model));
+    let manifest = std::fs::read(project("models/default/manifest.json")).unwrap();
+    let manifest = serde_json::from_slice(&manifest).unwrap();
+    corpus("options").run(2_000, |bytes| fuzzing::options(bytes, &manifest));
 }
 
 #[test]
@@ -41,5 +27,5 @@ fn manifests() {
 
 #[test]
 fn graphs() {
-    corpus("graph").run(5_000, fuzzing::graph);
+    corpus("graph").run(5_000, model::graph_is_accepted);
 }

@@ -4,5 +4,5 @@
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
-    let _ = bailando::fuzzing::container(bytes);
+    let _ = bailando_audio::fuzzing::container(bytes);
 });

@@ -3,7 +3,7 @@
 
 use std::sync::LazyLock;
 
-use bailando::model::Manifest;
+use bailando_model::Manifest;
 use libfuzzer_sys::fuzz_target;
 
 static MODEL: LazyLock<Manifest> = LazyLock::new(|| {

@@ -1,4 +1,5 @@
-//! What other programs take for the same on the same machine, as `benches/baseline/baseline.py` writes it.
+//! Times of other programs for the same work on the same machine, as
+//! `benches/baseline/baseline.py` writes them.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +8,7 @@ use serde::Deserialize;
 /// Times of librosa and PyTorch.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub struct Baseline {
-    /// Seconds of a stage with one thread, by our name of it.
+    /// Seconds of a stage with one thread, by its name here.
     #[serde(default)]
     stages: BTreeMap<String, f64>,
     /// Seconds of a code with fused attention and a sliding window, by number of threads.
@@ -31,7 +32,8 @@ mod tests {
 
     #[test]
     fn a_baseline_is_read() {
-        let text = r#"{"stages": {"features_3840": 0.5}, "code_s": {"1": 0.146, "2": 0.081}, "versions": {}}"#;
+        let text = r#"{"stages": {"features_3840": 0.5}, "code_s": {"1": 0.146, "2": 0.081},
+            "versions": {}}"#;
         let baseline: Baseline = serde_json::from_str(text).unwrap();
         assert_eq!(baseline.stage("features_3840"), Some(0.5));
         assert_eq!(baseline.stage("beats"), None);

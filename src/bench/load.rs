@@ -1,48 +1,37 @@
-//! Several at once.
+//! Several generations at once.
 
-use std::{sync::Arc, thread};
-
-use ndarray::Array2;
+use std::thread;
 
 use super::{
-    BenchOptions,
     clock::{quantile, timed},
+    generator::Generator,
     report::{LoadPoint, Throughput},
+    steps::noise,
 };
-use crate::{
-    CancelToken, Result,
-    engine::{Choreographer, EngineError, GenerationOptions},
-    formats::Codes,
-};
+use crate::{Result, engine::EngineError, formats::Codes, model::Manifest};
 
-/// Dances at once.
-const DANCES: usize = 8;
+/// Motions at once.
+const MOTIONS: usize = 8;
 /// Generations of every caller.
 const TURNS: usize = 6;
 
-/// Eight dances at once against one after another, by feature rows: the model alone. Each has a seed
-/// and a length of its own, so that their windows move at different steps.
-pub(super) fn throughput(choreographer: &Choreographer, codes: usize) -> Result<Throughput> {
-    let columns = choreographer.manifest().features.columns;
-    let dance = |number: usize| -> Result<Codes> {
-        let rows = Array2::from_shape_fn((codes + number, columns), |(row, column)| {
-            (((row + number) * 31 + column * 7) % 97) as f32 / 97.0
-        });
-        let options = GenerationOptions {
-            seed: Some(number as u64),
-            candidates: Some(1),
-            ..GenerationOptions::default()
-        };
-        let progress = Arc::new(());
-        let raw = choreographer.dance_to_rows(rows, &options, &CancelToken::new(), progress)?;
-        Ok(raw.codes)
+/// Compares eight generations at once with one after another, by feature rows: the model alone.
+/// Each has a seed and a length of its own, so that their windows move at different steps.
+pub(super) fn throughput(
+    generator: &Generator,
+    manifest: &Manifest,
+    codes: usize,
+) -> Result<Throughput> {
+    let generate = |number: usize| -> Result<Codes> {
+        let rows = noise(codes + number, manifest.features.columns, number);
+        generator.rows(rows, number as u64)
     };
-    dance(0)?;
-    let (alone, alone_s) = timed(|| (0..DANCES).map(dance).collect::<Result<Vec<_>>>());
-    let (together, together_s) = timed(|| at_once(DANCES, dance));
+    generate(0)?;
+    let (alone, alone_s) = timed(|| (0..MOTIONS).map(generate).collect::<Result<Vec<_>>>());
+    let (together, together_s) = timed(|| at_once(MOTIONS, generate));
     let (alone, together) = (alone?, together?);
     Ok(Throughput {
-        dances: DANCES,
+        dances: MOTIONS,
         codes: alone.iter().map(|codes| codes.upper.len()).sum(),
         one_after_another_s: alone_s,
         at_once_s: together_s,
@@ -50,21 +39,12 @@ pub(super) fn throughput(choreographer: &Choreographer, codes: usize) -> Result<
     })
 }
 
-/// Latencies of callers that generate the song again and again at the same time.
-pub(super) fn measure(
-    choreographer: &Choreographer,
-    options: &BenchOptions,
-    callers: usize,
-) -> Result<LoadPoint> {
+/// Measures the latencies of callers that generate to the song repeatedly at the same time.
+pub(super) fn measure(generator: &Generator, callers: usize) -> Result<LoadPoint> {
     let caller = |caller: usize| -> Result<Vec<f64>> {
         let turns = (0..TURNS).map(|turn| {
-            let generation = GenerationOptions {
-                seed: Some((caller * TURNS + turn) as u64),
-                ..GenerationOptions::default()
-            };
-            let song = options.song.clone();
-            let (dance, seconds) =
-                timed(|| choreographer.generate(song, &generation, &CancelToken::new()));
+            let seed = (caller * TURNS + turn) as u64;
+            let (dance, seconds) = timed(|| generator.song(seed, None));
             dance.map(|_| seconds)
         });
         turns.collect()
@@ -82,19 +62,15 @@ pub(super) fn measure(
     })
 }
 
-/// `work` with each number below `count`, at the same time.
+/// Calls `work` with each number below `count`, at the same time.
 fn at_once<T: Send>(count: usize, work: impl Fn(usize) -> Result<T> + Sync) -> Result<Vec<T>> {
     let work = &work;
     thread::scope(|scope| {
-        let running: Vec<_> = (0..count)
-            .map(|number| scope.spawn(move || work(number)))
-            .collect();
-        running
-            .into_iter()
-            .map(|one| {
-                one.join()
-                    .unwrap_or_else(|_| Err(EngineError::Panicked.into()))
-            })
+        let spawn = |number| scope.spawn(move || work(number));
+        let running: Vec<_> = (0..count).map(spawn).collect();
+        let ended = running.into_iter().map(|one| one.join());
+        ended
+            .map(|result| result.unwrap_or_else(|_| Err(EngineError::Panicked.into())))
             .collect()
     })
 }

@@ -1,4 +1,4 @@
-//! What was measured on. Linux tells; elsewhere the fields stay empty.
+//! The machine and the memory of the process. Known on Linux; elsewhere the fields stay empty.
 
 use std::{fs, num::NonZeroUsize, thread};
 
@@ -9,8 +9,7 @@ pub(super) fn describe() -> Machine {
     let cpu = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let named = |name: &str| {
         let line = cpu.lines().find(|line| line.starts_with(name))?;
-        line.split_once(':')
-            .map(|(_, value)| value.trim().to_owned())
+        Some(line.split_once(':')?.1.trim().to_owned())
     };
     let flags = named("flags").unwrap_or_default();
     let vectors = ["avx2", "avx512f", "avx512_vnni", "amx_int8"];
@@ -23,12 +22,12 @@ pub(super) fn describe() -> Machine {
     }
 }
 
-/// Memory that the process holds now.
+/// Memory of the process now.
 pub(super) fn resident_bytes() -> Option<u64> {
     memory_bytes("VmRSS:")
 }
 
-/// The most that it has held.
+/// Most memory of the process so far.
 pub(super) fn peak_bytes() -> Option<u64> {
     memory_bytes("VmHWM:")
 }

@@ -1,4 +1,4 @@
-//! Time by length of the song, drawn.
+//! A plot of time by length of the song.
 
 use std::fmt::Display;
 
@@ -16,16 +16,14 @@ const SIZE: (u32, u32) = (900, 480);
 const INK: RGBColor = RGBColor(0x1b, 0x6c, 0xa8);
 
 impl Bench {
-    /// An SVG: seconds by length of the song, beside a straight line through the first point.
+    /// Draws seconds by length of the song as an SVG, beside a straight line through the first
+    /// point.
     ///
     /// # Errors
-    /// What the drawing library says.
+    /// The message of the drawing library.
     pub fn lengths_svg(&self) -> Result<String, String> {
-        let points: Vec<(f64, f64)> = self
-            .lengths
-            .iter()
-            .map(|point| (point.seconds, point.elapsed_s))
-            .collect();
+        let points = self.lengths.iter();
+        let points: Vec<(f64, f64)> = points.map(|p| (p.seconds, p.elapsed_s)).collect();
         let largest = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).fold(1e-3, f64::max);
         let (longest, slowest) = (largest(|point| point.0), largest(|point| point.1));
         let slope = points.first().map_or(0.0, |(length, time)| time / length);

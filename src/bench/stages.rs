@@ -1,101 +1,124 @@
-//! Each stage of a generation by itself.
+//! Each stage of a generation alone.
 
 use super::{
-    BenchOptions,
     clock::{median, quantile},
+    generator::Generator,
+    options::BenchOptions,
     report::Stage,
 };
 use crate::{
     CancelToken, Result,
     audio::{self, AudioLimits, AudioRange},
-    engine::{Choreographer, GenerationOptions},
     features::{FeatureExtractor, Profile, Rate},
-    formats::{BvhUnit, to_bvh},
+    formats::{BvhUnit, GeneratedMotion, to_bvh},
+    model::ModelDirectory,
 };
 
-/// The seed of all dances.
+/// The seed of all generations.
 const SEED: u64 = 1;
+/// Seconds of motion that the decoder decodes as one chunk.
+const DECODED_SECONDS: usize = 30;
+
+fn stage(name: impl Into<String>, threads: usize, seconds: f64) -> Stage {
+    Stage {
+        name: name.into(),
+        threads,
+        seconds,
+    }
+}
 
 pub(super) fn measure(
-    choreographer: &Choreographer,
+    generator: &Generator,
     options: &BenchOptions,
     threads: usize,
 ) -> Result<Vec<Stage>> {
-    let mut stages = Vec::new();
-    let mut stage = |name: &str, threads: usize, seconds: f64| {
-        stages.push(Stage {
-            name: name.to_owned(),
-            threads,
-            seconds,
-        });
-    };
+    let mut stages = frontend(options)?;
+    stages.extend(generation(generator, options.repeats, threads)?);
+    Ok(stages)
+}
+
+/// Measures the way from bytes to features and beats.
+fn frontend(options: &BenchOptions) -> Result<Vec<Stage>> {
+    let repeats = options.repeats;
     let decode = |rates: &[Rate]| {
         let rates: Vec<u32> = rates.iter().map(|rate| rate.hz()).collect();
         let (song, limits) = (options.song.clone(), AudioLimits::default());
-        let range = AudioRange::default();
-        audio::decode(song, range, &rates, &limits, &CancelToken::new())
+        audio::decode(
+            song,
+            AudioRange::default(),
+            &rates,
+            &limits,
+            &CancelToken::new(),
+        )
     };
+    let mut stages = Vec::new();
     let both = [Rate::Conditioning, Rate::Beats];
     for rate in both {
-        let seconds = median(options.repeats, || decode(&[rate]))?;
-        stage(&format!("decode_resample_{}", rate.hz()), 1, seconds);
+        let seconds = median(repeats, || decode(&[rate]))?;
+        stages.push(stage(format!("decode_resample_{}", rate.hz()), 1, seconds));
     }
-    stage(
-        "decode_resample_both",
-        2,
-        median(options.repeats, || decode(&both))?,
-    );
-    let decoded = decode(&both)?;
-    for (rate, signal) in both.into_iter().zip(&decoded.signals) {
+    let seconds = median(repeats, || decode(&both))?;
+    stages.push(stage("decode_resample_both", 2, seconds));
+    for (rate, signal) in both.into_iter().zip(&decode(&both)?.signals) {
         let mut extractor = FeatureExtractor::new(rate, Profile::Librosa011);
-        let seconds = median(options.repeats, || extractor.extract(signal))?;
-        stage(&format!("features_{}", rate.hz()), 1, seconds);
+        let seconds = median(repeats, || extractor.extract(signal))?;
+        stages.push(stage(format!("features_{}", rate.hz()), 1, seconds));
         if rate == Rate::Beats {
-            let seconds = median(options.repeats, || extractor.beats(signal))?;
-            stage("beats", 2, seconds);
+            let seconds = median(repeats, || extractor.beats(signal))?;
+            stages.push(stage("beats", 2, seconds));
         }
     }
-
-    let generation = GenerationOptions {
-        seed: Some(SEED),
-        ..GenerationOptions::default()
-    };
-    let generate =
-        || choreographer.generate(options.song.clone(), &generation, &CancelToken::new());
-    let mut dance = generate()?;
-    let [mut decode, mut features, mut inference, mut motion] = [const { Vec::new() }; 4];
-    let whole = median(options.repeats, || -> Result<()> {
-        dance = generate()?;
-        let timings = &dance.timings;
-        decode.push(timings.decode.as_secs_f64());
-        features.push(timings.features.as_secs_f64());
-        inference.push(timings.inference.as_secs_f64());
-        motion.push(timings.motion.as_secs_f64());
-        // What is sent is part of the answer.
-        to_bvh(&dance, BvhUnit::Centimetre)?;
-        Ok(())
-    })?;
-    for (name, times) in [
-        ("song_decode", decode),
-        ("song_features_and_beats", features),
-        ("song_codes_and_frames", inference),
-        ("song_rotations", motion),
-    ] {
-        stage(name, threads, quantile(times, 0.5));
-    }
-    let bvh = median(options.repeats, || to_bvh(&dance, BvhUnit::Centimetre))?;
-    stage("song_bvh", 1, bvh);
-    stage("song_to_bvh", threads, whole);
-    let chosen = GenerationOptions {
-        candidates: Some(3),
-        ..generation
-    };
-    let seconds = median(options.repeats, || -> Result<()> {
-        let song = options.song.clone();
-        let dance = choreographer.generate(song, &chosen, &CancelToken::new())?;
-        to_bvh(&dance, BvhUnit::Centimetre)?;
-        Ok(())
-    })?;
-    stage("song_to_bvh_three_candidates", threads, seconds);
     Ok(stages)
+}
+
+/// Measures whole generations, and the stages that they time themselves.
+fn generation(generator: &Generator, repeats: usize, threads: usize) -> Result<Vec<Stage>> {
+    // The file is part of the result.
+    let to_file = |candidates| -> Result<GeneratedMotion> {
+        let dance = generator.song(SEED, candidates)?;
+        to_bvh(&dance, BvhUnit::Centimetre)?;
+        Ok(dance)
+    };
+    let mut dances = vec![generator.song(SEED, None)?];
+    let whole = median(repeats, || -> Result<()> {
+        dances.push(to_file(None)?);
+        Ok(())
+    })?;
+    let timed = |name: &str, seconds: fn(&GeneratedMotion) -> f64| {
+        let times = dances.iter().skip(1).map(seconds).collect();
+        stage(name, threads, quantile(times, 0.5))
+    };
+    let bvh = median(repeats, || to_bvh(&dances[0], BvhUnit::Centimetre))?;
+    let chosen = median(repeats, || to_file(Some(3)))?;
+    Ok(vec![
+        timed("song_decode", |dance| dance.timings.decode.as_secs_f64()),
+        timed("song_features_and_beats", |dance| {
+            dance.timings.features.as_secs_f64()
+        }),
+        timed("song_codes_and_frames", |dance| {
+            dance.timings.inference.as_secs_f64()
+        }),
+        timed("song_rotations", |dance| dance.timings.motion.as_secs_f64()),
+        stage("song_bvh", 1, bvh),
+        stage("song_to_bvh", threads, whole),
+        stage("song_to_bvh_three_candidates", threads, chosen),
+    ])
+}
+
+/// Measures the decoder, from codes to frames.
+pub(super) fn decoder(directory: &ModelDirectory, repeats: usize, threads: usize) -> Result<Stage> {
+    let manifest = directory.manifest();
+    let count = (DECODED_SECONDS * manifest.fps as usize).div_ceil(manifest.frames_per_code.max(1));
+    let [upper, lower] = [manifest.vocabulary.upper, manifest.vocabulary.lower].map(|codes| {
+        let code = |step: usize| (step * 7 % codes.max(1)) as u32;
+        (0..count).map(code).collect::<Vec<u32>>()
+    });
+    let mut decoder = directory.decoder(threads)?;
+    let never = CancelToken::new();
+    let seconds = median(repeats, || decoder.decode(&upper, &lower, &never))?;
+    Ok(stage(
+        format!("decoder_{DECODED_SECONDS}_s"),
+        threads,
+        seconds,
+    ))
 }

@@ -1,4 +1,4 @@
-//! `bailando codebook`: what each code of a model looks like.
+//! `bailando codebook`: pictures and numbers of a model's pose codes.
 
 use std::{
     fs,
@@ -17,9 +17,9 @@ use bailando::{
 use clap::ValueEnum;
 use ndarray::Array2;
 
-use super::say;
+use super::console::{read_file, say, write_file};
 
-/// Draw what each pose code of a model looks like
+/// Draw each pose code of a model
 #[derive(Debug, clap::Args)]
 pub(super) struct CodebookArgs {
     /// Model directory
@@ -32,14 +32,14 @@ pub(super) struct CodebookArgs {
     #[arg(long, default_value = "12", value_name = "N")]
     columns: NonZeroUsize,
     /// Changes from one pair of codes to another to draw: the most frequent in --codes, else those
-    /// between the model's start codes, else between evenly drawn codes
+    /// between the model's start codes, else between codes drawn evenly
     #[arg(long, default_value_t = 12, value_name = "N")]
     pairs: usize,
-    /// Codes of dances, int64 [2, codes], as `bailando generate --codes-out` writes them: counts
-    /// their uses
+    /// Count how often these files use each code: int64 [2, codes], as `bailando generate
+    /// --codes-out` writes them
     #[arg(long, num_args = 1.., value_name = "C.npy")]
     codes: Vec<PathBuf>,
-    /// Which codes come first: the lowest numbers, or the most used in --codes
+    /// Order of the codes: by number, or the most used in --codes first
     #[arg(
         long,
         value_enum,
@@ -78,8 +78,7 @@ pub(super) fn run(args: &CodebookArgs) -> anyhow::Result<()> {
     let folder = &args.output;
     fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     for (name, text) in files {
-        let path = folder.join(name);
-        fs::write(&path, text).with_context(|| path.display().to_string())?;
+        write_file(&folder.join(name), text)?;
     }
     say(&format!(
         "{}: {} upper and {} lower codes, {} changes",
@@ -98,24 +97,24 @@ impl CodebookArgs {
         }
         let mut uses = Uses::new(directory.manifest().vocabulary);
         for path in &self.codes {
-            let name = || path.display().to_string();
-            uses.add(&read_codes(path)?).with_context(name)?;
+            let codes = read_codes(path)?;
+            uses.add(&codes)
+                .with_context(|| path.display().to_string())?;
         }
         Ok(Some(uses))
     }
 }
 
 fn read_codes(path: &Path) -> anyhow::Result<Codes> {
-    let name = || format!("{}: not int64 codes, upper and lower", path.display());
-    let bytes = fs::read(path).with_context(|| path.display().to_string())?;
-    let rows: Array2<i64> = read_array(&bytes).with_context(name)?;
-    anyhow::ensure!(rows.nrows() == 2, name());
-    let row = |row: usize| -> anyhow::Result<Vec<u32>> {
-        let codes = rows.row(row).into_iter();
-        codes.map(|&code| Ok(u32::try_from(code)?)).collect()
+    let problem = || format!("{}: not int64 codes, upper and lower", path.display());
+    let rows: Array2<i64> = read_array(&read_file(path)?).with_context(problem)?;
+    anyhow::ensure!(rows.nrows() == 2, problem());
+    let row = |row: usize| {
+        let codes = rows.row(row).into_iter().map(|&code| u32::try_from(code));
+        codes.collect::<Result<Vec<u32>, _>>().with_context(problem)
     };
     Ok(Codes {
-        upper: row(0).with_context(name)?,
-        lower: row(1).with_context(name)?,
+        upper: row(0)?,
+        lower: row(1)?,
     })
 }

@@ -1,47 +1,50 @@
-//! `bailando evaluate`: generated dances against recordings.
+//! `bailando evaluate`: generated motion against recordings.
 
-use std::{fs, num::NonZeroUsize, path::PathBuf};
+use std::{num::NonZeroUsize, path::PathBuf};
 
-use anyhow::Context;
 use bailando::{
     Error,
     evaluation::{BeatsFrom, Clips, EvaluationOptions, KineticForm, evaluate},
 };
 use clap::ValueEnum;
 
-use super::{say, say_error};
+use super::console::{say, say_error, write_file};
 
-/// Compare generated dances with recordings: FID, diversity, beat align score and more
+/// Compare generated motion with recordings: FID, diversity, beat align score and more
 #[derive(Debug, clap::Args)]
 pub(super) struct EvaluateArgs {
-    /// Generated motions (.npy [frames, 24, 3], .json, .bvh), each named after its piece
+    /// Folder of generated motions (.npy [frames, 24, 3], .json, .bvh), each named after its song's
+    /// piece in the reference
     #[arg(long, value_name = "DIR")]
     generated: PathBuf,
     /// Recordings: a data folder with index.json, or a folder of motions
     #[arg(long, value_name = "DIR")]
     reference: PathBuf,
-    /// Audio files by piece: music beats are column 53 of their features
+    /// Folder of audio files, named like the pieces, in which the music's beats are found
     #[arg(long, value_name = "DIR", conflicts_with = "beats")]
     music: Option<PathBuf>,
-    /// Audio files of songs that are no pieces of the reference, which generated dances are named after
+    /// The same for songs that are no pieces of the reference; generated motions are named after
+    /// them
     #[arg(long, value_name = "DIR", conflicts_with_all = ["beats", "music", "split"])]
     new_songs: Option<PathBuf>,
-    /// Music beats: {"beats": {piece or audio file: [frame, ..]}}, frames at 60 a second
+    /// Beats of the music: {"beats": {piece or audio file: [frame, ..]}}, frames at 60 a second
     #[arg(long, value_name = "F.json")]
     beats: Option<PathBuf>,
-    /// Generated pieces of this split only; the reference's row is of it, too [default row: test]
+    /// Measure generated pieces of this split only; the row of the recordings is of the same split
+    /// [default: all pieces, and recordings of the split test]
     #[arg(long)]
     split: Option<String>,
-    /// Sample windows of this many frames instead of the first 1200 of each motion
+    /// Measure windows of this many frames instead of the first 1200 of each motion
     #[arg(long, value_name = "FRAMES")]
     window: Option<usize>,
     /// Frames from one window to the next [default: half a window]
     #[arg(long, value_name = "FRAMES", requires = "window")]
     stride: Option<usize>,
-    /// --generated holds this many folders, one per seed: their mean with 95 % intervals
+    /// Number of folders in --generated, one per seed: prints their mean with 95 % intervals
     #[arg(long, value_name = "N")]
     seeds: Option<NonZeroUsize>,
-    /// Acceleration in kinetic features: as published, or corrected (not comparable)
+    /// Acceleration in kinetic features: as published, or corrected (not comparable with published
+    /// figures)
     #[arg(long, value_enum, default_value = "published")]
     kinetic: KineticArg,
     /// Seed of the random shifts behind the beat score's chance level
@@ -50,7 +53,7 @@ pub(super) struct EvaluateArgs {
     /// Print JSON instead of a Markdown table
     #[arg(long)]
     json: bool,
-    /// Write a plot of generated relative to recorded, too
+    /// Write a plot of generated relative to recorded too
     #[arg(long, value_name = "OUT.svg")]
     plot: Option<PathBuf>,
 }
@@ -93,8 +96,7 @@ impl EvaluateArgs {
 pub(super) fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     let report = evaluate(&args.options()).map_err(Error::from)?;
     if let Some(path) = &args.plot {
-        let svg = report.svg().map_err(Error::from)?;
-        fs::write(path, svg).with_context(|| path.display().to_string())?;
+        write_file(path, report.svg().map_err(Error::from)?)?;
     }
     if args.json {
         for warning in &report.warnings {

@@ -1,41 +1,50 @@
 //! `bailando features`: a song's music features as a NumPy file.
 
-use std::{fs, path::PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context;
 use bailando::{
-    CancelToken,
+    CancelToken, Error,
     audio::{self, AudioLimits, AudioRange},
     features::{FeatureExtractor, Profile, Rate, with_counts_of},
+    model::ModelDirectory,
 };
 use clap::ValueEnum;
 
-use super::Usage;
+use super::console::{Usage, positive_seconds, read_file, say, say_error};
 
 /// Write a song's music features as a NumPy file
 #[derive(Debug, clap::Args)]
 pub(super) struct FeaturesArgs {
     /// The song: wav, flac, mp3, ogg/vorbis or m4a/aac. A wav already at the rate is not resampled
     audio: PathBuf,
-    /// The file to write: float32 [rows, 438], wider by two columns a count period
+    /// The file to write: float32 [rows, 438], and two more columns per count period
     #[arg(short, long, value_name = "OUT.npy")]
     output: PathBuf,
+    /// Write the columns that this model was trained with, for `bailando generate --features`:
+    /// profile and count periods are those of its manifest
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["rate", "profile", "count_periods"])]
+    model_dir: Option<PathBuf>,
     /// Sample rate in Hz: 3840 gives 7.5 rows a second (one per pose code), 30720 gives 60
     #[arg(long, value_enum, default_value = "3840")]
     rate: RateArg,
-    /// Which librosa version's numbers
+    /// The librosa version whose numbers to reproduce
     #[arg(long, value_enum, default_value = "librosa-0.11")]
     profile: ProfileArg,
-    /// Add the place within so many counts (sine and cosine each): a model's manifest says which it
-    /// hears as `count_periods`. At 3840 Hz, with librosa-0.11
-    #[arg(long, value_delimiter = ',', value_name = "N,..", value_parser = clap::value_parser!(u32).range(1..))]
+    /// Add the place within so many counts, as sine and cosine; 3840 Hz and librosa-0.11 only
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,..",
+        value_parser = clap::value_parser!(u32).range(1..)
+    )]
     count_periods: Vec<u32>,
     /// Longest song in seconds
     #[arg(
         long,
         env = "BAILANDO_MAX_AUDIO_SECONDS",
         default_value_t = AudioLimits::default().max_seconds,
-        value_parser = super::positive_seconds
+        value_parser = positive_seconds
     )]
     max_audio_seconds: f64,
 }
@@ -56,62 +65,80 @@ enum ProfileArg {
     Librosa081,
 }
 
-pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
-    let rate = match args.rate {
-        RateArg::Conditioning => Rate::Conditioning,
-        RateArg::Beats => Rate::Beats,
-    };
-    let profile = match args.profile {
-        ProfileArg::Librosa011 => Profile::Librosa011,
-        ProfileArg::Librosa081 => Profile::Librosa081,
-    };
-    let counts = !args.count_periods.is_empty();
-    if counts && (rate, profile) != (Rate::Conditioning, Profile::Librosa011) {
-        return Err(Usage(
-            "--count-periods goes with --rate 3840 and --profile librosa-0.11".into(),
-        )
-        .into());
+/// The columns to write.
+struct Columns {
+    rate: Rate,
+    profile: Profile,
+    count_periods: Vec<u32>,
+}
+
+impl FeaturesArgs {
+    fn columns(&self) -> anyhow::Result<Columns> {
+        if let Some(folder) = &self.model_dir {
+            let directory = ModelDirectory::open(folder).map_err(Error::from)?;
+            let features = &directory.manifest().features;
+            return Ok(Columns {
+                rate: Rate::Conditioning,
+                profile: features.profile,
+                count_periods: features.count_periods.clone(),
+            });
+        }
+        let rate = match self.rate {
+            RateArg::Conditioning => Rate::Conditioning,
+            RateArg::Beats => Rate::Beats,
+        };
+        let profile = match self.profile {
+            ProfileArg::Librosa011 => Profile::Librosa011,
+            ProfileArg::Librosa081 => Profile::Librosa081,
+        };
+        let fits = (rate, profile) == (Rate::Conditioning, Profile::Librosa011);
+        if !self.count_periods.is_empty() && !fits {
+            let problem = "--count-periods needs --rate 3840 and --profile librosa-0.11";
+            return Err(Usage(problem.into()).into());
+        }
+        Ok(Columns {
+            rate,
+            profile,
+            count_periods: self.count_periods.clone(),
+        })
     }
+}
+
+pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
+    let Columns {
+        rate,
+        profile,
+        count_periods,
+    } = args.columns()?;
     let name = || args.audio.display().to_string();
-    let bytes = fs::read(&args.audio).with_context(name)?;
-    // No shortest length here: the features themselves say when a signal is too short.
+    let song = read_file(&args.audio)?;
+    // No shortest length here: the features have their own.
     let limits = AudioLimits {
         max_seconds: args.max_audio_seconds,
         min_seconds: 0.0,
         min_sample_rate: rate.hz().min(AudioLimits::default().min_sample_rate),
         ..AudioLimits::default()
     };
-    let cancel = CancelToken::new();
-    let rates = [rate.hz(), Rate::Beats.hz()];
-    let decoded = audio::decode(
-        bytes.into(),
-        AudioRange::default(),
-        if counts { &rates[..] } else { &rates[..1] },
-        &limits,
-        &cancel,
-    )
-    .with_context(name)?;
+    let (range, cancel) = (AudioRange::default(), CancelToken::new());
+    let mut rates = vec![rate.hz()];
+    if !count_periods.is_empty() {
+        rates.push(Rate::Beats.hz());
+    }
+    let decoded = audio::decode(song.into(), range, &rates, &limits, &cancel);
+    let mut decoded = decoded.with_context(name)?;
     for warning in &decoded.warnings {
-        super::say_error(&format!("warning: {}: {warning}", args.audio.display()));
+        say_error(&format!("warning: {}: {warning}", args.audio.display()));
     }
-    let mut signals = decoded.signals.into_iter();
-    let signal = signals.next().unwrap_or_default();
-    let mut rows = FeatureExtractor::new(rate, profile)
-        .extract(&signal)
-        .with_context(name)?;
-    drop(signal);
-    if counts {
-        let signal = signals.next().unwrap_or_default();
+    let rows = FeatureExtractor::new(rate, profile).extract(&decoded.signals[0]);
+    let mut rows = rows.with_context(name)?;
+    if !count_periods.is_empty() {
+        let signal = decoded.signals.swap_remove(1);
         let beats = FeatureExtractor::new(Rate::Beats, profile).beats_until(signal, &cancel);
-        rows = with_counts_of(&beats.with_context(name)?, rows, &args.count_periods);
+        rows = with_counts_of(&beats.with_context(name)?, rows, &count_periods);
     }
-    ndarray_npy::write_npy(&args.output, &rows)
-        .with_context(|| args.output.display().to_string())?;
-    super::say(&format!(
-        "{}: {} rows of {} columns",
-        args.output.display(),
-        rows.nrows(),
-        rows.ncols()
-    ));
+    let output = args.output.display();
+    ndarray_npy::write_npy(&args.output, &rows).with_context(|| output.to_string())?;
+    let (count, columns) = rows.dim();
+    say(&format!("{output}: {count} rows of {columns} columns"));
     Ok(())
 }

@@ -13,7 +13,8 @@ use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, EngineConfig, MAX_CANDIDATES},
-    formats::{Codes, Dance, OutputFormat},
+    features::{COLUMNS, with_counts},
+    formats::{Codes, GeneratedMotion, OutputFormat},
     motion,
     npy::read_array,
     options::RequestOptions,
@@ -21,12 +22,10 @@ use bailando::{
 use ndarray::Array2;
 
 use super::{
-    Usage,
+    console::{Usage, positive_seconds, say, say_error},
     inputs::audio_files,
     output::{FileFormat, OutputArgs, check_folder_of, write_positions},
-    positive_seconds,
     progress::Bar,
-    say, say_error,
 };
 
 /// Make dances from audio files, or codes and positions from feature rows
@@ -61,7 +60,8 @@ pub(super) struct GenerateArgs {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Feature rows instead of audio")]
 struct RowsArgs {
-    /// Feature rows, float32 [rows, columns of the model], as `bailando features` writes them
+    /// Feature rows, float32 [rows, columns of the model], as `bailando features --model-dir`
+    /// writes them; with 438 columns, the dance does not follow the music's counts
     #[arg(
         long,
         value_name = "F.npy",
@@ -160,7 +160,7 @@ fn one_song(
     Ok(())
 }
 
-fn report(dance: &Dance, target: &Path, started: Instant) {
+fn report(dance: &GeneratedMotion, target: &Path, started: Instant) {
     for warning in &dance.warnings {
         say_error(&format!("warning: {warning}"));
     }
@@ -188,6 +188,7 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
     }
     let rows = read_rows(features)?;
     let choreographer = args.open(1)?;
+    let rows = with_columns_of(&choreographer, rows, args, features);
     let raw = choreographer.dance_to_rows(
         rows,
         &args.options.generation(OutputFormat::Bvh),
@@ -209,6 +210,26 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
         raw.seed
     ));
     Ok(())
+}
+
+/// Rows of 438 columns know no counts: to a model with count columns, they are those of a song
+/// without regular beats.
+fn with_columns_of(
+    choreographer: &Choreographer,
+    rows: Array2<f32>,
+    args: &GenerateArgs,
+    path: &Path,
+) -> Array2<f32> {
+    let wanted = &choreographer.manifest().features;
+    if rows.ncols() != COLUMNS || wanted.columns == COLUMNS {
+        return rows;
+    }
+    let (file, model) = (path.display(), args.model_dir.display());
+    say_error(&format!(
+        "warning: {file} has no count columns, so the dance does not follow the music's counts; \
+         `bailando features SONG -o {file} --model-dir {model}` writes them"
+    ));
+    with_counts(rows, None, 0.0, &wanted.count_periods)
 }
 
 fn read_rows(path: &Path) -> anyhow::Result<Array2<f32>> {

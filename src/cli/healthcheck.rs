@@ -8,12 +8,13 @@ use std::{
 use anyhow::Context;
 use bailando::server::ServerConfig;
 
-use super::Usage;
+use super::console::Usage;
 
 /// Ask a running server whether it is alive; for container probes
 #[derive(Debug, clap::Args)]
 pub(super) struct HealthcheckArgs {
-    /// What to ask: /health for alive, /ready for ready to dance [default: /health at host and port]
+    /// Address to ask: /health says that the server runs, /ready that it accepts songs [default:
+    /// /health at host and port]
     #[arg(long, env = "BAILANDO_HEALTH_URL")]
     url: Option<String>,
     /// Address that the server listens on
@@ -46,7 +47,7 @@ pub(super) fn run(args: &HealthcheckArgs) -> anyhow::Result<()> {
     agent
         .get(&url)
         .call()
-        .with_context(|| format!("{url} does not answer well"))?;
+        .with_context(|| format!("{url} gives no good answer"))?;
     Ok(())
 }
 
@@ -88,18 +89,18 @@ mod tests {
             };
             args.url().ok()
         };
-        let derived = |host, port| url(None, host, port).unwrap();
-        assert_eq!(derived("127.0.0.1", 8080), "http://127.0.0.1:8080/health");
-        assert_eq!(derived("0.0.0.0", 9000), "http://127.0.0.1:9000/health");
-        assert_eq!(derived("::", 9000), "http://[::1]:9000/health");
-        assert_eq!(derived("10.1.2.3", 80), "http://10.1.2.3:80/health");
-        assert_eq!(derived("fe80::1", 80), "http://[fe80::1]:80/health");
-        assert_eq!(derived("dance.local", 80), "http://dance.local:80/health");
-        assert_eq!(
-            url(Some("http://x/ready"), "::", 0).unwrap(),
-            "http://x/ready"
-        );
-        assert_eq!(url(Some(""), "::1", 1).unwrap(), "http://[::1]:1/health");
+        for (given, host, port, expected) in [
+            (None, "127.0.0.1", 8080, "http://127.0.0.1:8080/health"),
+            (None, "0.0.0.0", 9000, "http://127.0.0.1:9000/health"),
+            (None, "::", 9000, "http://[::1]:9000/health"),
+            (None, "10.1.2.3", 80, "http://10.1.2.3:80/health"),
+            (None, "fe80::1", 80, "http://[fe80::1]:80/health"),
+            (None, "dance.local", 80, "http://dance.local:80/health"),
+            (Some("http://x/ready"), "::", 0, "http://x/ready"),
+            (Some(""), "::1", 1, "http://[::1]:1/health"),
+        ] {
+            assert_eq!(url(given, host, port).as_deref(), Some(expected));
+        }
         assert_eq!(url(None, "127.0.0.1", 0), None);
     }
 }

@@ -1,18 +1,18 @@
-//! Which audio files a command works on.
+//! The audio files that a command works on.
 
 use std::{
-    fs,
+    fs, io,
     path::{Path, PathBuf},
 };
 
 use anyhow::Context;
 
-use super::Usage;
+use super::console::Usage;
 
-/// Extensions of the files that are taken from a folder; single files are told by their bytes.
+/// Extensions of the audio files in a folder; a single file is recognised by its bytes.
 const EXTENSIONS: [&str; 7] = ["wav", "flac", "mp3", "ogg", "oga", "m4a", "mp4"];
 
-/// The files named by `inputs`; a folder stands for the audio files directly inside it, by name.
+/// Lists the files of `inputs`; a folder stands for the audio files directly inside it, by name.
 pub(super) fn audio_files(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let mut files = Vec::new();
     for input in inputs {
@@ -32,17 +32,17 @@ pub(super) fn audio_files(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
 }
 
 fn folder(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
-    for entry in fs::read_dir(path).with_context(|| path.display().to_string())? {
-        let file = entry.with_context(|| path.display().to_string())?.path();
-        let extension = file
-            .extension()
-            .and_then(|e| e.to_str())
-            .map(str::to_ascii_lowercase);
-        if file.is_file() && extension.is_some_and(|e| EXTENSIONS.contains(&e.as_str())) {
-            found.push(file);
-        }
-    }
-    found.sort();
-    Ok(found)
+    let is_audio = |file: &PathBuf| {
+        let extension = file.extension().and_then(|e| e.to_str());
+        let known = |e: &str| EXTENSIONS.contains(&e.to_ascii_lowercase().as_str());
+        file.is_file() && extension.is_some_and(known)
+    };
+    let files = fs::read_dir(path).and_then(|entries| {
+        let files = entries.map(|entry| Ok(entry?.path()));
+        files.collect::<io::Result<Vec<PathBuf>>>()
+    });
+    let mut files = files.with_context(|| path.display().to_string())?;
+    files.retain(is_audio);
+    files.sort();
+    Ok(files)
 }

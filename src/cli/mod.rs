@@ -2,6 +2,7 @@
 
 mod bench;
 mod codebook;
+mod console;
 mod evaluate;
 mod features;
 mod generate;
@@ -11,13 +12,11 @@ mod output;
 mod progress;
 mod serve;
 
-use std::{
-    io::{self, Write},
-    process::ExitCode,
-};
+use std::process::ExitCode;
 
 use bailando::{Error, engine::EngineError, evaluation::EvaluationError};
 use clap::{Parser, Subcommand};
+use console::{Usage, say_error};
 
 /// Music in, dance out: 3-D dance for a song.
 #[derive(Debug, Parser)]
@@ -37,22 +36,17 @@ enum Command {
     Generate(Box<generate::GenerateArgs>),
     /// Write a song's music features as a NumPy file
     Features(features::FeaturesArgs),
-    /// Compare generated dances with recordings: FID, diversity, beat align score and more
+    /// Compare generated motion with recordings: FID, diversity, beat align score and more
     Evaluate(Box<evaluate::EvaluateArgs>),
-    /// Draw what each pose code of a model looks like: a sheet per half body, and numbers
+    /// Draw each pose code of a model: a sheet per half of the body, and numbers
     Codebook(codebook::CodebookArgs),
-    /// Measure how fast a model is on this machine: stages, steps, many dances at once, long songs
+    /// Measure the speed of a model on this machine: stages, steps, many dances at once, long songs
     Bench(bench::BenchArgs),
     /// Ask a running server whether it is alive; for container probes
     Healthcheck(healthcheck::HealthcheckArgs),
 }
 
-/// A wrong use of the command line that only shows after parsing.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-struct Usage(String);
-
-/// Parses the command line, runs it and says how it went.
+/// Parses the command line, runs the command and returns its exit code.
 pub(crate) fn run() -> ExitCode {
     let result = match Cli::parse().command {
         Command::Serve(args) => serve::run(&args),
@@ -81,22 +75,4 @@ fn is_usage(error: &anyhow::Error) -> bool {
         )
     };
     error.is::<Usage>() || error.downcast_ref::<Error>().is_some_and(option)
-}
-
-/// Seconds above 0, for limits: NaN would switch one off.
-fn positive_seconds(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
-        _ => Err("expected seconds above 0".into()),
-    }
-}
-
-/// One line on standard output. A reader that has gone is no failure of ours.
-fn say(line: &str) {
-    let _ = writeln!(io::stdout(), "{line}");
-}
-
-/// One line on standard error.
-fn say_error(line: &str) {
-    let _ = writeln!(io::stderr(), "{line}");
 }

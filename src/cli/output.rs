@@ -1,4 +1,4 @@
-//! Where dances go, and in which format.
+//! Files and formats of results.
 
 use std::{
     fs,
@@ -7,13 +7,13 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    formats::{Dance, JsonOptions, OutputFormat},
+    formats::{GeneratedMotion, JsonOptions, OutputFormat},
     motion::Positions,
     options::RequestOptions,
 };
 use clap::ValueEnum;
 
-use super::Usage;
+use super::console::{Usage, write_file};
 
 /// How results are written.
 #[derive(Debug, clap::Args)]
@@ -54,12 +54,10 @@ impl FileFormat {
     }
 
     fn of(path: &Path) -> Result<Self, Usage> {
-        let extension = path
-            .extension()
-            .and_then(|e| e.to_str())
-            .map(str::to_ascii_lowercase);
-        [Self::Json, Self::Bvh, Self::Npy]
-            .into_iter()
+        let extension = path.extension().and_then(|e| e.to_str());
+        let extension = extension.map(str::to_ascii_lowercase);
+        let mut formats = [Self::Json, Self::Bvh, Self::Npy].into_iter();
+        formats
             .find(|format| extension.as_deref() == Some(format.extension()))
             .ok_or_else(|| {
                 let path = path.display();
@@ -71,7 +69,7 @@ impl FileFormat {
 }
 
 impl OutputArgs {
-    /// One output per input, before any work is done.
+    /// Chooses one output per input, before any work is done.
     pub(super) fn targets(&self, inputs: &[PathBuf]) -> anyhow::Result<Vec<(PathBuf, FileFormat)>> {
         match (&self.output, &self.out_dir, inputs) {
             (Some(output), None, [_]) => {
@@ -84,7 +82,7 @@ impl OutputArgs {
             }
             (_, Some(folder), _) => self.targets_in(folder, inputs),
             (None, None, _) => {
-                Err(Usage("say where the dance goes: --output FILE or --out-dir DIR".into()).into())
+                Err(Usage("name the result: --output FILE or --out-dir DIR".into()).into())
             }
         }
     }
@@ -114,7 +112,7 @@ impl OutputArgs {
     /// Writes `dance` to `path`.
     pub(super) fn write(
         &self,
-        dance: &Dance,
+        dance: &GeneratedMotion,
         path: &Path,
         format: FileFormat,
         options: &RequestOptions,
@@ -128,14 +126,12 @@ impl OutputArgs {
             rotations: self.include_rotations,
             ..options.json()
         };
-        let bytes = format
-            .write(dance, &json, options.bvh_unit())
-            .map_err(bailando::Error::from)?;
-        fs::write(path, bytes).with_context(|| path.display().to_string())
+        let bytes = format.write(dance, &json, options.bvh_unit());
+        write_file(path, bytes.map_err(bailando::Error::from)?)
     }
 }
 
-/// Finds out before hours of work, not after, that a file's folder is not there.
+/// Checks that a file's folder exists, before hours of work instead of after.
 pub(super) fn check_folder_of(file: &Path) -> Result<(), Usage> {
     match file.parent() {
         Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => Err(Usage(format!(

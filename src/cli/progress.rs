@@ -13,10 +13,9 @@ pub(super) struct Bar {
 impl Bar {
     pub(super) fn new(name: &str) -> Self {
         let bar = ProgressBar::new(0).with_prefix(name.to_owned());
-        // The template is ours and valid; a wrong one would only cost the looks.
-        if let Ok(style) = ProgressStyle::with_template(
-            "{prefix} {msg:10} [{bar:32}] {pos}/{len} codes, {eta} left",
-        ) {
+        let template = "{prefix} {msg:10} [{bar:32}] {pos}/{len} codes, {eta} left";
+        // Without its template the bar has another look, and works.
+        if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style.progress_chars("=> "));
         }
         bar.enable_steady_tick(Duration::from_millis(200));
@@ -34,9 +33,9 @@ impl Progress for Bar {
     fn stage(&self, stage: Stage) {
         self.bar.set_message(match stage {
             Stage::Decoding => "decoding",
-            Stage::Features => "listening",
-            Stage::Generating => "dancing",
-            Stage::Motion => "moving",
+            Stage::Features => "features",
+            Stage::Generating => "generating",
+            Stage::Motion => "motion",
         });
     }
 

@@ -3,7 +3,7 @@
 use anyhow::Context;
 use bailando::server::{self, ServeError, ServerConfig};
 
-use super::Usage;
+use super::console::Usage;
 
 /// Run the HTTP server
 #[derive(Debug, clap::Args)]
@@ -13,7 +13,7 @@ pub(super) struct ServeArgs {
 }
 
 pub(super) fn run(args: &ServeArgs) -> anyhow::Result<()> {
-    // Traces that are not sent yet go when this is dropped.
+    // Dropped at the end: it sends the remaining traces.
     let _telemetry = server::init_telemetry(
         args.config.json_output,
         args.config.otlp_endpoint.as_deref(),

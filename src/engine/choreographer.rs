@@ -18,7 +18,7 @@ use super::{
 use crate::{
     CancelToken, Result,
     audio::AudioLimits,
-    formats::{Codes, Dance, Tail, Timings},
+    formats::{Codes, Continuation, GeneratedMotion, Timings},
     model::{Manifest, ModelDirectory},
     motion::{self, FinishOptions, Finisher, Positions, PositionsSource},
 };
@@ -83,7 +83,7 @@ pub struct Ending {
     /// The pose codes.
     pub codes: Codes,
     /// Where another dance can go on.
-    pub tail: Option<Tail>,
+    pub tail: Option<Continuation>,
     /// Wall time per stage.
     pub timings: Timings,
 }
@@ -162,7 +162,7 @@ impl Choreographer {
         audio: Bytes,
         options: &GenerationOptions,
         cancel: &CancelToken,
-    ) -> Result<Dance> {
+    ) -> Result<GeneratedMotion> {
         self.generate_with_progress(audio, options, cancel, Arc::new(()))
     }
 
@@ -176,7 +176,7 @@ impl Choreographer {
         options: &GenerationOptions,
         cancel: &CancelToken,
         progress: Arc<dyn Progress>,
-    ) -> Result<Dance> {
+    ) -> Result<GeneratedMotion> {
         let mut timings = Timings::default();
         let song = self.hear(audio, options, cancel, progress.as_ref(), &mut timings)?;
         let seed = options.seed.map_or_else(draw_seed, Ok)?;
@@ -190,8 +190,8 @@ impl Choreographer {
             motion::finish_while(outcome.motion.view(), skeleton, &options, goes_on)
         })?
         .ok_or(EngineError::Cancelled)?;
-        let tail = tail_of(&outcome, options, &self.shared.directory);
-        Ok(Dance {
+        let continuation = tail_of(&outcome, options, &self.shared.directory);
+        Ok(GeneratedMotion {
             model: self.manifest().name.clone(),
             seed,
             skeleton: self.manifest().skeleton.clone(),
@@ -202,7 +202,7 @@ impl Choreographer {
             music: song.info,
             timings,
             warnings: song.warnings,
-            tail,
+            continuation,
         })
     }
 
@@ -368,7 +368,7 @@ impl Choreographer {
                 manifest.gpt.context,
             ),
             history: tail.map_or_else(Codes::default, |tail| tail.codes.clone()),
-            facing: tail.map_or(0.0, |tail| tail.facing),
+            facing: tail.map_or(0.0, |tail| tail.heading),
             progress,
             listener: None,
             cancel: cancel.clone(),

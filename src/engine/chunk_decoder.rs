@@ -37,7 +37,7 @@ impl ChunkDecoder {
 
     /// How far the root has come, and where it faces.
     pub(crate) fn end(&self) -> ([f32; 2], f64) {
-        (self.walked, self.to_world.facing())
+        (self.walked, self.to_world.heading())
     }
 
     /// Decodes the next chunk: `[frames, 3 joints]`, in world directions.

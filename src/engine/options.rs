@@ -3,7 +3,7 @@
 use super::{EngineError, MAX_SEED, worker::branches};
 use crate::{
     audio::AudioRange,
-    formats::Tail,
+    formats::Continuation,
     model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, Vocabulary, WindowKind},
     motion,
 };
@@ -35,7 +35,7 @@ pub struct GenerationOptions {
     /// Codes kept when a hop window shrinks.
     pub hop: Option<usize>,
     /// The end of an earlier dance, which this one goes on from; its codes take the place of start codes.
-    pub continue_from: Option<Tail>,
+    pub continue_from: Option<Continuation>,
     /// Which part of the song.
     pub range: AudioRange,
     /// Frames per second of the result: 20, 24, 30 or 60.

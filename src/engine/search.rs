@@ -12,7 +12,7 @@ use crate::{
     CancelToken, Result,
     formats::Codes,
     model::{Decoder, Manifest},
-    motion::{beat_meeting, dance_beats, joint_speed, slow_share},
+    motion::{dance_beats, joint_speed, mutual_beat_alignment, slow_share},
 };
 
 /// Codes that are chosen at once: two seconds, a bar or so.
@@ -186,7 +186,7 @@ impl Judge<'_> {
                 .skip(judged.start - first * per_code)
                 .take(judged.len())
                 .any(|frame| pelvis_height(frame) < GROUND),
-            meeting: beat_meeting(self.beats, &dance, judged).unwrap_or(0.0),
+            meeting: mutual_beat_alignment(self.beats, &dance, judged).unwrap_or(0.0),
         })
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{GenerationOptions, worker::Outcome};
 use crate::{
-    formats::{Codes, Tail},
+    formats::{Codes, Continuation},
     model::ModelDirectory,
 };
 
@@ -14,7 +14,7 @@ const MOST_TAIL_CODES: usize = 1 << 16;
 /// Where the root starts on the floor.
 pub(super) fn start_of(options: &GenerationOptions) -> [f32; 2] {
     let tail = options.continue_from.as_ref();
-    tail.map_or([0.0; 2], |tail| tail.place)
+    tail.map_or([0.0; 2], |tail| tail.position)
 }
 
 /// Where the root goes next on the floor: a dancer that is held in place is held at 0, wherever the dance
@@ -33,7 +33,7 @@ pub(super) fn tail_of(
     outcome: &Outcome,
     options: &GenerationOptions,
     directory: &ModelDirectory,
-) -> Option<Tail> {
+) -> Option<Continuation> {
     let manifest = directory.manifest();
     let vocabulary = manifest.vocabulary;
     if vocabulary.upper.max(vocabulary.lower) > MOST_TAIL_CODES {
@@ -44,7 +44,12 @@ pub(super) fn tail_of(
     let codes = last_codes(before, &outcome.codes, count);
     let place = place_after(outcome, options);
     let facing = outcome.facing;
-    Some(Tail::new(directory.manifest_sha256(), codes, place, facing))
+    Some(Continuation::new(
+        directory.manifest_sha256(),
+        codes,
+        place,
+        facing,
+    ))
 }
 
 /// The last `count` codes of a dance, and of the one that it goes on from where it is short itself.
@@ -89,7 +94,7 @@ mod tests {
 
     #[test]
     fn a_dance_ends_where_it_walked_to_or_where_it_was_held() {
-        let before = Tail::new("00000000", codes([1, 2]), [3.0, -2.0], 0.0);
+        let before = Continuation::new("00000000", codes([1, 2]), [3.0, -2.0], 0.0);
         for (root_motion, expected) in [(true, [3.5, -1.0]), (false, [0.0, 0.0])] {
             let options = GenerationOptions {
                 continue_from: Some(before.clone()),

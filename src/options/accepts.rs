@@ -4,7 +4,7 @@ use std::fmt;
 
 use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
 
-use crate::formats::Tail;
+use crate::formats::Continuation;
 
 /// What an option accepts.
 #[derive(Clone, Copy)]
@@ -34,7 +34,7 @@ impl Accepts {
             Self::Number(most) => number().is_some_and(|value| (0.0..=most).contains(&value)),
             Self::PositiveNumber => number().is_some_and(|value| value > 0.0),
             Self::Boolean => text.parse::<bool>().is_ok(),
-            Self::Tail => text.parse::<Tail>().is_ok(),
+            Self::Tail => text.parse::<Continuation>().is_ok(),
         }
     }
 

@@ -10,7 +10,7 @@ pub(crate) use self::table::{OPTIONS, OptionSpec, Section};
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    formats::{BvhUnit, Dance, FormatError, JsonOptions, OutputFormat},
+    formats::{BvhUnit, FormatError, GeneratedMotion, JsonOptions, OutputFormat},
 };
 
 /// Longest option value that is read, in bytes.
@@ -132,7 +132,7 @@ impl RequestOptions {
     /// As [`OutputFormat::write`].
     pub(crate) fn write(
         &self,
-        dance: &Dance,
+        dance: &GeneratedMotion,
         format: OutputFormat,
     ) -> Result<Vec<u8>, FormatError> {
         format.write(dance, &self.json(), self.bvh_unit())
@@ -174,7 +174,7 @@ mod tests {
     use super::*;
     use crate::{
         engine::MAX_SEED,
-        formats::{Codes, Encoding, Tail},
+        formats::{Codes, Continuation, Encoding},
         model::WindowKind,
     };
 
@@ -200,7 +200,7 @@ mod tests {
         )
         .unwrap();
         let (upper, lower) = (vec![1], vec![2]);
-        let tail = Tail::new("01234567", Codes { upper, lower }, [0.0; 2], 0.75);
+        let tail = Continuation::new("01234567", Codes { upper, lower }, [0.0; 2], 0.75);
         assert_eq!(options.given.len(), OPTIONS.len());
         assert_eq!(options.format, Some(OutputFormat::Bvh));
         assert_eq!(options.encoding, Some(Encoding::Base64));

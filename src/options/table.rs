@@ -4,7 +4,7 @@
 use super::accepts::Accepts;
 use crate::{
     engine::{GenerationOptions, MAX_CANDIDATES, MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
-    formats::{BvhUnit, Encoding, OutputFormat, Tail},
+    formats::{BvhUnit, Continuation, Encoding, OutputFormat},
     model::WindowKind,
     motion::FRAME_RATES,
 };
@@ -49,7 +49,7 @@ macro_rules! from_text {
     };
 }
 
-from_text! { bool f32 f64 u32 u64 usize BvhUnit Encoding OutputFormat Tail }
+from_text! { bool f32 f64 u32 u64 usize BvhUnit Encoding OutputFormat Continuation }
 
 impl FromText for WindowKind {
     fn from_text(text: &str) -> Option<Self> {
@@ -143,7 +143,7 @@ options! {
              candidates in all.";
         start_upper: u32, ANY_CODE, "drawn", "First pose code of the upper body.";
         start_lower: u32, ANY_CODE, "drawn", "First pose code of the lower body.";
-        continue_from: Tail, Accepts::Tail, "none",
+        continue_from: Continuation, Accepts::Tail, "none",
             "The `tail` of an earlier result of the same model: the new motion continues from its \
              last pose, place and heading, so that clips chain. Excludes the first pose codes.";
         window: WindowKind, Accepts::Words(&["hop", "sliding"]), MODEL,

@@ -93,6 +93,8 @@ macro_rules! errors {
                     Self::Dance(Error::Engine(EngineError::QueueFull { .. })) => {
                         Some(Seconds::new(1))
                     }
+                    // A thread is free again as soon as another song has been decoded.
+                    Self::Dance(Error::Audio(AudioError::NoThread(_))) => Some(Seconds::new(1)),
                     _ => None,
                 }
             }
@@ -257,6 +259,7 @@ fn classify_audio(error: &AudioError) -> (StatusCode, &'static str) {
         | AudioError::Channels { .. }
         | AudioError::DecodeTimeout { .. }
         | AudioError::DecoderPanic { .. } => (UNPROCESSABLE, "undecodable_audio"),
+        AudioError::NoThread(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_thread"),
         AudioError::Cancelled | AudioError::OutputRate { .. } => {
             (StatusCode::INTERNAL_SERVER_ERROR, "internal")
         }
@@ -363,5 +366,13 @@ mod tests {
             )
         );
         assert!(stopped.retry_after.is_some());
+    }
+
+    #[test]
+    fn a_lack_of_threads_is_not_blamed_on_the_upload() {
+        let lack = AudioError::NoThread(std::io::ErrorKind::WouldBlock.into());
+        let report = ServerError::from(Error::from(lack)).report();
+        assert_eq!(report.status, StatusCode::SERVICE_UNAVAILABLE);
+        assert!(report.retry_after.is_some());
     }
 }

@@ -17,7 +17,7 @@ use super::{
     options::RequestOptions,
     watch::Watch,
 };
-use crate::formats::{Dance, OutputFormat};
+use crate::formats::{GeneratedMotion, OutputFormat};
 
 /// Where jobs are kept: in memory for now.
 pub(crate) trait JobStore: Send + Sync {
@@ -77,7 +77,7 @@ pub(crate) enum JobState {
 
 /// A dance and how it is written where the fetching request says nothing else.
 pub(crate) struct Finished {
-    pub(crate) dance: Arc<Dance>,
+    pub(crate) dance: Arc<GeneratedMotion>,
     pub(crate) options: RequestOptions,
     pub(crate) format: OutputFormat,
 }

@@ -19,7 +19,7 @@ use super::{
     routes::{codes, generate, jobs, probes, stream},
     state::SharedState,
 };
-use crate::formats::{DanceJson, DoneJson, FramesJson, StartJson};
+use crate::formats::{DoneJson, FramesJson, MotionJson, StartJson};
 
 /// Names of the two ways to send an API key.
 const SCHEMES: [&str; 2] = ["bearer", "api_key"];
@@ -42,7 +42,7 @@ const TAKE_SONGS: [&str; 3] = ["generate_motion", "stream_motion", "create_job"]
     ),
     components(schemas(
         StartJson<'_>, FramesJson<'_>, DoneJson<'_>, ErrorEvent,
-        DanceJson<'_>, ErrorBody, AudioFile, GenerateForm
+        MotionJson<'_>, ErrorBody, AudioFile, GenerateForm
     )),
     modifiers(&Schemes)
 )]

@@ -19,7 +19,7 @@ use super::{
 use crate::{
     CancelToken, Result,
     engine::{Choreographer, Ending, EngineError, GenerationOptions, Listener, Progress},
-    formats::Dance,
+    formats::GeneratedMotion,
     model::Manifest,
     motion::Positions,
 };
@@ -54,7 +54,7 @@ pub trait Generate: Send + Sync + 'static {
         options: &GenerationOptions,
         cancel: &CancelToken,
         progress: Arc<dyn Progress>,
-    ) -> Result<Dance>;
+    ) -> Result<GeneratedMotion>;
 
     /// Generates one dance and gives its motion to `listener` as it comes. Blocks.
     ///
@@ -98,7 +98,7 @@ impl Generate for Choreographer {
         options: &GenerationOptions,
         cancel: &CancelToken,
         progress: Arc<dyn Progress>,
-    ) -> Result<Dance> {
+    ) -> Result<GeneratedMotion> {
         self.generate_with_progress(audio, options, cancel, progress)
     }
 

@@ -20,7 +20,7 @@ use crate::{
     Error,
     audio::AudioError,
     engine::{Ending, GenerationOptions, Listener},
-    formats::{Dance, OutputFormat},
+    formats::{GeneratedMotion, OutputFormat},
 };
 
 /// What the engine is asked for.
@@ -60,7 +60,7 @@ impl Order {
 
 /// A dance, and the right to work that it came about by.
 pub(crate) struct Danced {
-    pub(crate) dance: Dance,
+    pub(crate) dance: GeneratedMotion,
     pub(crate) permit: Permit,
 }
 
@@ -115,7 +115,7 @@ pub(crate) async fn stream(
 pub(crate) async fn write(
     metrics: &SharedMetrics,
     watch: &Arc<Watch>,
-    dance: Arc<Dance>,
+    dance: Arc<GeneratedMotion>,
     options: RequestOptions,
     format: OutputFormat,
 ) -> Result<Vec<u8>, ServerError> {

@@ -16,7 +16,7 @@ use bailando::{
         DEFAULT_BATCH, Ending, EngineError, GenerationOptions, Listener, Opening, Progress, Stage,
     },
     features::Profile,
-    formats::{Codes, Dance, MusicInfo, PositionsSource, Tail, Timings},
+    formats::{Codes, Continuation, GeneratedMotion, MusicInfo, PositionsSource, Timings},
     model::{
         DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
         SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
@@ -138,7 +138,7 @@ impl Generate for Fake {
         options: &GenerationOptions,
         cancel: &CancelToken,
         progress: Arc<dyn Progress>,
-    ) -> Result<Dance> {
+    ) -> Result<GeneratedMotion> {
         let _end = CountEnd(&self.ended);
         self.generations.fetch_add(1, Ordering::SeqCst);
         progress.stage(Stage::Decoding);
@@ -206,7 +206,7 @@ impl Generate for Fake {
         }
         self.heard.lock().unwrap().push(audio);
         Ok(Ending {
-            tail: Some(Tail::new(
+            tail: Some(Continuation::new(
                 self.model_sha256(),
                 dance.codes.clone(),
                 [0.0; 2],
@@ -289,7 +289,7 @@ fn manifest() -> Manifest {
     }
 }
 
-fn dance(options: &GenerationOptions) -> Dance {
+fn dance(options: &GenerationOptions) -> GeneratedMotion {
     const FRAMES: usize = 2;
     let skeleton = skeleton();
     let joints = skeleton.joints.len();
@@ -298,7 +298,7 @@ fn dance(options: &GenerationOptions) -> Dance {
         1 => 1.0 + 0.25 * joint as f32,
         _ => 0.125 * frame as f32,
     });
-    Dance {
+    GeneratedMotion {
         model: "fake".into(),
         seed,
         animation: Animation {
@@ -325,7 +325,7 @@ fn dance(options: &GenerationOptions) -> Dance {
             motion: Duration::from_micros(500),
         },
         warnings: vec!["a warning".into()],
-        tail: Some(Tail::new(
+        continuation: Some(Continuation::new(
             "0123",
             Codes {
                 upper: vec![1],

@@ -12,7 +12,7 @@ use axum::{Router, http::StatusCode};
 use bailando::{
     CancelToken,
     engine::{Choreographer, Ending, EngineError, GenerationOptions, Listener, Progress, Stage},
-    formats::Dance,
+    formats::GeneratedMotion,
     model::Manifest,
     motion::Positions,
     server::{Access, Generate, Limits, ServerConfig, router},
@@ -242,7 +242,7 @@ impl Generate for Faulty {
         options: &GenerationOptions,
         cancel: &CancelToken,
         inner: Arc<dyn Progress>,
-    ) -> bailando::Result<Dance> {
+    ) -> bailando::Result<GeneratedMotion> {
         let stage = match options.seed {
             Some(101) => Stage::Decoding,
             Some(102) => Stage::Features,

@@ -81,6 +81,8 @@ async fn a_file_may_have_exactly_its_limit() {
     for (magic, limit) in [
         (&b"ID3"[..], LOSSY),
         (b"fLaC", LOSSLESS),
+        (b"ID3\x04\0\0\0\0\0\x02..fLaC", LOSSLESS),
+        (b"ID3\x04\0\0\0\0\0\x02..\xff\xfb\x90\0", LOSSY),
         (b"RIFF\x01\x02\x03\x04WAVE", LOSSLESS),
         (b"RIFF\x01\x02\x03\x04AVI ", LOSSY),
     ] {

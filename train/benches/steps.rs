@@ -1,7 +1,7 @@
 //! Seconds per training step on a CPU of both halves of a pose VQ-VAE (width 256, 32 x 240 frames)
-//! and of a motion GPT (6 blocks of 256 channels, 32 x 29 codes), on made-up motion. Prints one JSON
-//! object; `scripts/compare-with-torch.sh` puts it beside PyTorch's. `RAYON_NUM_THREADS` sets the
-//! threads.
+//! and of a motion GPT (6 blocks of 256 channels, 32 x 29 codes), on made-up motion. Prints one
+//! JSON object; `scripts/compare-with-torch.sh` puts it beside PyTorch's. `RAYON_NUM_THREADS` sets
+//! the threads.
 
 #![allow(clippy::print_stdout, reason = "a benchmark's figures are its output")]
 
@@ -9,7 +9,7 @@ use std::{sync::Arc, time::Instant};
 
 use anyhow::Context;
 use bailando_train::training::{
-    Config, Dances, Limits, MotionPiece, MotionSet, SongRows, Stage, train,
+    Config, Limits, MotionPiece, MotionSet, Motions, SongRows, Stage, train,
 };
 use ndarray::{Array2, Array3};
 
@@ -89,9 +89,8 @@ fn motion_set(config: &Config) -> anyhow::Result<MotionSet> {
     });
     let piece = MotionPiece::from_positions(positions, config.data.frame)?;
     let song = SongRows::new(vec![Arc::new(music)]).context("a song")?;
-    Ok(MotionSet {
-        training: Dances::new(vec![piece.with_song(song)]),
-        test: None,
-        songs: Vec::new(),
-    })
+    Ok(MotionSet::new(
+        Motions::new(vec![piece.with_song(song)]),
+        None,
+    ))
 }

@@ -1,4 +1,4 @@
-//! How much a model loses by quantisation: it and its original foretell the same recordings.
+//! Loss of a model by quantisation: it and its original predict the same recordings.
 
 use std::{fmt, path::PathBuf};
 
@@ -13,7 +13,7 @@ use serde::Serialize;
 use crate::{
     data::{Portion, Split, SplitKind},
     encode::EncodeError,
-    held_out::{Listener, Recordings, cross_entropies, pairs},
+    held_out::{Predictor, Recordings, cross_entropies, pairs},
 };
 
 /// What to compare.
@@ -30,7 +30,7 @@ pub struct CompareOptions {
 /// Two models beside each other, true codes given before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Codes of both halves that were foretold.
+    /// Codes of both halves that were predicted.
     pub codes: usize,
     /// Share of codes that both hold for the likeliest.
     pub same_likeliest: f64,
@@ -61,7 +61,8 @@ impl fmt::Display for Comparison {
         )?;
         writeln!(
             f,
-            "\nOf {} codes {:.3} % are the likeliest to both, {:.3} % are drawn by both; divergence {:.2e} nats",
+            "\nOf {} codes {:.3} % are the likeliest to both, {:.3} % are drawn by both; \
+             divergence {:.2e} nats",
             self.codes,
             100.0 * self.same_likeliest,
             100.0 * self.same_drawn,
@@ -89,14 +90,14 @@ fn measure<S: SplitKind>(
     let original = ModelDirectory::open(&options.original)?;
     let model = ModelDirectory::open(&options.model)?;
     let pairs = pairs(portion, &original, options.recordings.cache.as_deref())?;
-    let mut listeners = [Listener::open(&original)?, Listener::open(&model)?];
+    let mut listeners = [Predictor::open(&original)?, Predictor::open(&model)?];
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut sums = Sums::default();
     for pair in &pairs {
         let [first, second] = &mut listeners;
         let rows = pair.rows.view();
-        let both = first.foretold(pair, rows)?.into_iter();
-        for ((one, codes), (other, _)) in both.zip(second.foretold(pair, rows)?) {
+        let both = first.predicted(pair, rows)?.into_iter();
+        for ((one, codes), (other, _)) in both.zip(second.predicted(pair, rows)?) {
             sums.add(&one.upper, &other.upper, codes[0], &mut random);
             sums.add(&one.lower, &other.lower, codes[1], &mut random);
         }

@@ -1,4 +1,4 @@
-//! Recordings through a served model's pose VQ-VAE: their codes, and what the decoder makes of them.
+//! Encoding of recordings with a served model's pose VQ-VAE, and their reconstruction.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use ndarray::{Array2, Axis, Slice};
 
 use crate::data::{DataError, Dataset, JOINTS, Motion, OpenOptions, Portion, Split, SplitKind};
 
-/// What to encode, and where to.
+/// The recordings to encode, and the folder to write.
 #[derive(Clone, Debug)]
 pub struct EncodeOptions {
     /// Model directory.
@@ -22,13 +22,14 @@ pub struct EncodeOptions {
     pub split: Split,
     /// Folder to write to.
     pub out: PathBuf,
-    /// Whether the codes are decoded again, too.
+    /// Whether the codes are also decoded.
     pub reconstruct: bool,
 }
 
 /// Why recordings could not be encoded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum EncodeError {
     /// The data.
     #[error(transparent)]
@@ -44,12 +45,7 @@ pub enum EncodeError {
     NoMusic,
     /// A file could not be written.
     #[error("{}: {message}", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        message: String,
-    },
+    Write { path: PathBuf, message: String },
 }
 
 impl EncodeError {
@@ -62,8 +58,9 @@ impl EncodeError {
 }
 
 /// Writes `<id>.codes.npy` (int64 `[2, codes]`, upper and lower) of every recording of a split, and
-/// with `reconstruct` the decoded `<id>.npy` (float32 `[frames, 24, 3]`, the root starting where the
-/// recording's does). A recording of several pieces goes by the first one's id. Returns how many.
+/// with `reconstruct` the decoded `<id>.npy` (float32 `[frames, 24, 3]`, the root starting where
+/// the recording's does). A recording of several pieces goes by the first one's id. Returns how
+/// many.
 ///
 /// # Errors
 /// [`EncodeError`] of the first that fails.
@@ -85,7 +82,7 @@ fn encode_portion<S: SplitKind>(
     let cancel = CancelToken::new();
     std::fs::create_dir_all(&options.out)
         .map_err(|error| EncodeError::write(&options.out, error))?;
-    for dance in portion.dances() {
+    for dance in portion.recordings() {
         let motion = dance.motion(portion.skeleton())?;
         let (upper, lower) = encoder.encode(columns(&motion, frame)?.view(), &cancel)?;
         let id = dance
@@ -107,10 +104,10 @@ fn encode_portion<S: SplitKind>(
                 .map_err(|error| EncodeError::write(&path, error))?;
         }
     }
-    Ok(portion.dances().len())
+    Ok(portion.recordings().len())
 }
 
-/// What the encoder takes, `[frames, 72]`.
+/// Returns the encoder's input, `[frames, 72]`.
 pub(crate) fn columns(motion: &Motion, frame: MotionFrame) -> Result<Array2<f32>, MotionError> {
     Ok(match frame {
         MotionFrame::World => motion.root_relative(),

@@ -6,7 +6,7 @@ use std::path::Path;
 use bailando::model::WeightStorage;
 
 use crate::{
-    checkpoint::Checkpoint,
+    checkpoint::TorchCheckpoint,
     onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph, receptive_codes},
     weights::{CriticWeights, GptWeights, VqVaeWeights},
 };
@@ -14,7 +14,7 @@ use crate::{
 /// Bytes as a PyTorch checkpoint: container, pickle, tensors, networks, graphs.
 #[must_use]
 pub fn checkpoint(bytes: &[u8]) -> bool {
-    let open = || Checkpoint::from_bytes(Path::new("checkpoint"), bytes.to_vec());
+    let open = || TorchCheckpoint::from_bytes(Path::new("checkpoint"), bytes.to_vec());
     let Ok(mut checkpoint) = open() else {
         return false;
     };

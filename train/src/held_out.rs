@@ -1,4 +1,4 @@
-//! Recordings' codes beside their songs, and what a model foretells of them.
+//! Recordings' codes beside their songs, and a model's predictions of them.
 
 use std::path::{Path, PathBuf};
 
@@ -16,14 +16,14 @@ use crate::{
     encode::{EncodeError, columns},
 };
 
-/// The recordings of a data folder that models are asked about.
+/// The recordings of a data folder that models predict.
 #[derive(Clone, Debug)]
 pub struct Recordings {
     /// Data folder of any layout, with songs.
     pub data: PathBuf,
     /// Folder of the songs, where they are kept apart.
     pub audio: Option<PathBuf>,
-    /// Folder of music features; none: the usual one.
+    /// Folder of music features; without one: the usual one.
     pub cache: Option<PathBuf>,
     /// Which split.
     pub split: Split,
@@ -46,7 +46,7 @@ pub(crate) struct Pair {
     pub(crate) bpm: Option<f64>,
 }
 
-/// All pairs of a portion, as the model encodes and hears them.
+/// Returns all pairs of a portion, with the model's codes and music rows.
 pub(crate) fn pairs<S: SplitKind>(
     portion: &Portion<S>,
     directory: &ModelDirectory,
@@ -60,7 +60,7 @@ pub(crate) fn pairs<S: SplitKind>(
     let mut encoder = directory.encoder(1)?;
     let cancel = CancelToken::new();
     let mut pairs = Vec::new();
-    for (place, dance) in portion.dances().iter().enumerate() {
+    for (place, dance) in portion.recordings().iter().enumerate() {
         let motion = dance.motion(portion.skeleton())?;
         let columns = columns(&motion, manifest.motion_frame)?;
         let (upper, lower) = encoder.encode(columns.view(), &cancel)?;
@@ -80,7 +80,7 @@ pub(crate) fn pairs<S: SplitKind>(
     Ok(pairs)
 }
 
-/// As the data say, else of its beats.
+/// Returns the tempo of the data, else that of the beats.
 fn bpm(song: &Song) -> Option<f64> {
     let of_beats = || {
         let (first, last) = (song.grid_beats_s.first()?, song.grid_beats_s.last()?);
@@ -90,16 +90,16 @@ fn bpm(song: &Song) -> Option<f64> {
     bpm.filter(|bpm| bpm.is_finite() && *bpm > 0.0)
 }
 
-/// Scores of a window's codes, and the upper and lower codes that really came.
-pub(crate) type Foretold<'pair> = (Logits, [&'pair [u32]; 2]);
+/// Scores of a window's codes, and the true upper and lower codes.
+pub(crate) type Prediction<'pair> = (Logits, [&'pair [u32]; 2]);
 
-/// Foretells codes from the true ones before them, in windows of the whole block.
-pub(crate) struct Listener {
+/// Predicts codes from the true ones before them, in windows of the whole block.
+pub(crate) struct Predictor {
     gpt: Gpt,
     block: usize,
 }
 
-impl Listener {
+impl Predictor {
     pub(crate) fn open(directory: &ModelDirectory) -> Result<Self, ModelError> {
         Ok(Self {
             gpt: directory.gpt(1)?,
@@ -107,15 +107,15 @@ impl Listener {
         })
     }
 
-    /// Scores of every window, as far as rows go, beside the codes that really came.
-    pub(crate) fn foretold<'pair>(
+    /// Returns the scores of every window that has rows, beside the true codes.
+    pub(crate) fn predicted<'pair>(
         &mut self,
         pair: &'pair Pair,
         rows: ArrayView2<'_, f32>,
-    ) -> Result<Vec<Foretold<'pair>>, ModelError> {
+    ) -> Result<Vec<Prediction<'pair>>, ModelError> {
         let (block, cancel) = (self.block, CancelToken::new());
         let [upper, lower] = &pair.codes;
-        // A window's last code is foretold only, and needs no row.
+        // A window's last code is only predicted, and needs no row.
         let codes = upper
             .len()
             .saturating_sub(1)
@@ -135,13 +135,13 @@ impl Listener {
         windows.collect()
     }
 
-    /// Cross-entropies of every code that is foretold, upper and lower half added up.
+    /// Returns the cross-entropy of every predicted code, upper + lower.
     pub(crate) fn entropies(
         &mut self,
         pair: &Pair,
         rows: ArrayView2<'_, f32>,
     ) -> Result<Vec<f64>, ModelError> {
-        let windows = self.foretold(pair, rows)?.into_iter();
+        let windows = self.predicted(pair, rows)?.into_iter();
         let entropies = windows.flat_map(|(logits, [upper, lower])| {
             let upper = cross_entropies(&logits.upper, upper);
             let lower = cross_entropies(&logits.lower, lower);

@@ -1,4 +1,4 @@
-//! Official checkpoints to a model directory.
+//! Import of official checkpoints into a model directory.
 
 use std::{
     collections::BTreeMap,
@@ -9,7 +9,7 @@ use bailando::model::Manifest;
 use serde::de::DeserializeOwned;
 
 use crate::{
-    checkpoint::{Checkpoint, CheckpointError},
+    checkpoint::{CheckpointError, TorchCheckpoint},
     export::{Description, ExportError, write_model_directory},
     onnx::InputRanges,
     weights::{GptWeights, VqVaeWeights, WeightError},
@@ -18,7 +18,7 @@ use crate::{
 /// The pair that the authors' demonstration starts with (ARCHITECTURE section 3).
 const OFFICIAL_START: [u32; 2] = [423, 12];
 
-/// What to import, and what the checkpoints do not say themselves.
+/// The checkpoints to import, and facts that they do not hold.
 #[derive(Clone, Debug)]
 pub struct ImportOptions {
     /// Checkpoint of the pose VQ-VAE.
@@ -29,7 +29,7 @@ pub struct ImportOptions {
     pub out: PathBuf,
     /// Whether a model that is already there is replaced.
     pub replace: bool,
-    /// Attention heads, which no tensor's shape tells.
+    /// Attention heads, which no tensor's shape gives.
     pub heads: usize,
     /// JSON with start codes.
     pub start_codes: Option<PathBuf>,
@@ -42,6 +42,7 @@ pub struct ImportOptions {
 /// Why checkpoints could not be imported.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum ImportError {
     /// A checkpoint.
     #[error(transparent)]
@@ -55,31 +56,23 @@ pub enum ImportError {
     /// A JSON file could not be read.
     #[error("{}: {source}", path.display())]
     Read {
-        /// The file.
         path: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
     /// A JSON file does not hold what is expected.
     #[error("{}: expected {expected}: {source}", path.display())]
     Json {
-        /// The file.
         path: PathBuf,
-        /// What it should hold.
         expected: &'static str,
-        /// Where it does not.
         source: serde_json::Error,
     },
     /// A start code is not in the vocabulary.
-    #[error("{}: start codes {pair:?} lie outside the vocabulary of {upper} upper and {lower} lower codes", path.display())]
+    #[error("{}: start codes {pair:?} lie outside the vocabulary of {upper} upper and {lower} \
+             lower codes", path.display())]
     StartCode {
-        /// The file.
         path: PathBuf,
-        /// The pair.
         pair: [u32; 2],
-        /// Number of upper codes.
         upper: usize,
-        /// Number of lower codes.
         lower: usize,
     },
 }
@@ -90,8 +83,9 @@ pub enum ImportError {
 /// [`ImportError`], one line that names the file and the tensor, expected and found. Nothing is
 /// left behind then.
 pub fn import(options: &ImportOptions) -> Result<Manifest, ImportError> {
-    let vqvae = VqVaeWeights::from_checkpoint(&mut Checkpoint::open(&options.vqvae)?)?;
-    let gpt = GptWeights::from_checkpoint(&mut Checkpoint::open(&options.gpt)?, options.heads)?;
+    let vqvae = VqVaeWeights::from_checkpoint(&mut TorchCheckpoint::open(&options.vqvae)?)?;
+    let gpt =
+        GptWeights::from_checkpoint(&mut TorchCheckpoint::open(&options.gpt)?, options.heads)?;
     let mut description = options.description.clone();
     description.start_codes = start_codes(options.start_codes.as_deref(), &gpt)?;
     if let Some(path) = &options.training {
@@ -109,7 +103,7 @@ pub fn import(options: &ImportOptions) -> Result<Manifest, ImportError> {
     )?)
 }
 
-/// The file's pairs; without a file the official one where the vocabulary has it, else none.
+/// Reads the file's pairs; without a file the official pair where the vocabulary has it, else none.
 fn start_codes(path: Option<&Path>, gpt: &GptWeights) -> Result<Vec<[u32; 2]>, ImportError> {
     let (upper, lower) = (gpt.upper_embedding.dim(0), gpt.lower_embedding.dim(0));
     let known = |&[u, l]: &[u32; 2]| (u as usize) < upper && (l as usize) < lower;
@@ -118,7 +112,7 @@ fn start_codes(path: Option<&Path>, gpt: &GptWeights) -> Result<Vec<[u32; 2]>, I
     };
     let expected = "a list of pairs [upper, lower], or an object with it as `start_codes`";
     let mut content: serde_json::Value = read_json(path, expected)?;
-    // Other keys of an object are not ours to judge.
+    // Other keys of an object are ignored.
     if let Some(list) = content.get_mut("start_codes") {
         content = list.take();
     }

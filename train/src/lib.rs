@@ -1,9 +1,10 @@
-//! Training, from data to model directories; and checkpoints of others to model directories.
+//! Model directories from training data, or from official checkpoints.
 //!
-//! [`checkpoint`] (a file to tensors) → [`weights`] (tensors to networks) → [`onnx`] (networks to
-//! graphs) → [`export`] (graphs and manifest to a model directory). [`import`] goes all the way,
-//! [`training`] makes weights of [`data`], [`encode`] sends recordings through a model, [`music_gap`]
-//! says whether it hears, [`mod@compare`] what quantisation costs it, [`cli`] parses and prints.
+//! [`checkpoint`] (a file to tensors) → [`weights`] (tensors to networks) → [`onnx`] (networks
+//! to graphs) → [`export`] (graphs and manifest to a model directory). [`import`] does it all,
+//! [`training`] makes weights of [`data`], [`encode`] runs recordings through a model,
+//! [`music_gap`] measures its conditioning on the music, [`mod@compare`] the loss by quantisation,
+//! and [`cli`] is the command line.
 
 pub mod checkpoint;
 pub mod cli;
@@ -14,12 +15,12 @@ pub mod export;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod held_out;
+mod host_tensor;
 pub mod import;
 pub mod music_gap;
 pub mod nn;
 pub mod onnx;
-mod tensor;
 pub mod training;
 pub mod weights;
 
-pub use tensor::{ShapeMismatch, Tensor};
+pub use host_tensor::{HostTensor, ShapeMismatch};

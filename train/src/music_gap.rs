@@ -1,5 +1,5 @@
-//! Whether a model hears: how much worse it foretells a recording's codes with other music than with
-//! the right one (METRICS, "Music gap").
+//! Conditioning on the music: how much worse a model predicts a recording's codes with other music
+//! than with the right one (METRICS, "Music gap").
 
 use std::{fmt, path::PathBuf};
 
@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::{
     data::{Portion, Split, SplitKind},
     encode::EncodeError,
-    held_out::{Listener, Recordings, pairs},
+    held_out::{Predictor, Recordings, pairs},
 };
 
 /// Counts of half a bar.
@@ -30,7 +30,7 @@ pub struct MusicGapOptions {
 pub struct MusicGap {
     /// Pieces measured.
     pub pieces: usize,
-    /// Codes of each half that were foretold with the right music.
+    /// Codes of each half that were predicted with the right music.
     pub codes: usize,
     /// With the right music.
     pub right_music: f64,
@@ -83,7 +83,7 @@ fn measure<S: SplitKind>(
     let pairs = pairs(portion, &directory, options.recordings.cache.as_deref())?;
     let manifest = directory.manifest();
     let rows_a_second = manifest.codes_per_second();
-    let mut listener = Listener::open(&directory)?;
+    let mut predictor = Predictor::open(&directory)?;
     let (mut right, mut gaps) = (Sum::default(), [Sum::default(); 3]);
     for (place, pair) in pairs.iter().enumerate() {
         let shifted = |counts: f64| {
@@ -100,11 +100,11 @@ fn measure<S: SplitKind>(
             .find(|other| other.dance != pair.dance && other.rows != pair.rows)
             .map(|other| other.rows.view());
         let variants = [other, shifted(1.0), shifted(HALF_BAR)];
-        let own = listener.entropies(pair, pair.rows.view())?;
+        let own = predictor.entropies(pair, pair.rows.view())?;
         own.iter().for_each(|&entropy| right.add(entropy));
         for (gap, rows) in gaps.iter_mut().zip(variants) {
             let Some(rows) = rows else { continue };
-            let entropies = listener.entropies(pair, rows)?;
+            let entropies = predictor.entropies(pair, rows)?;
             for (entropy, own) in entropies.iter().zip(&own) {
                 gap.add(entropy - own);
             }

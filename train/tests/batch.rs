@@ -1,13 +1,6 @@
 //! The graphs serve any batch: a batch of two equals two single runs.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
+use crate::common;
 use std::{
     env::consts::{DLL_PREFIX, DLL_SUFFIX},
     path::{Path, PathBuf},
@@ -15,13 +8,9 @@ use std::{
 };
 
 use bailando::model::WeightStorage;
-use bailando_train::{
-    checkpoint::Checkpoint,
-    onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph},
-    weights::{GptWeights, VqVaeWeights},
-};
+use bailando_train::onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph};
 
-use common::{HEADS, fixture, floats, rows};
+use crate::common::{HEADS, fixture, floats, gpt, rows, vqvae};
 use ndarray::Array2;
 use ort::{environment::Environment, session::Session, value::Tensor};
 
@@ -51,11 +40,6 @@ fn session(graph: &[u8]) -> Session {
         .unwrap()
         .commit_from_memory(graph)
         .unwrap()
-}
-
-fn vqvae() -> VqVaeWeights {
-    let mut checkpoint = Checkpoint::open(&fixture("tiny_vqvae.pt")).unwrap();
-    VqVaeWeights::from_checkpoint(&mut checkpoint).unwrap()
 }
 
 /// Upper codes, lower codes and music rows of one sequence.
@@ -98,7 +82,10 @@ fn run_gpt(session: &mut Session, sequences: &[&Sequence]) -> Vec<Vec<f32>> {
         "music" => Tensor::from_array(([batch, STEPS, 438], music)).unwrap(),
         "positions" => Tensor::from_array(([batch, STEPS], positions)).unwrap(),
         // One mask for the whole batch.
-        "attention_bias" => Tensor::from_array(([1, 1, tokens, tokens], vec![0.0_f32; tokens * tokens])).unwrap(),
+        "attention_bias" => {
+            let zeros = vec![0.0_f32; tokens * tokens];
+            Tensor::from_array(([1, 1, tokens, tokens], zeros)).unwrap()
+        },
     };
     for layer in 0..LAYERS {
         for kind in ["key", "value"] {
@@ -120,8 +107,7 @@ fn run_gpt(session: &mut Session, sequences: &[&Sequence]) -> Vec<Vec<f32>> {
 
 #[test]
 fn a_batch_of_two_equals_two_single_runs() {
-    let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
-    let weights = GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
+    let weights = gpt();
     let mut session =
         session(&gpt_graph(&weights, WeightStorage::F32, &InputRanges::default()).unwrap());
     let [first, second] = sequences();

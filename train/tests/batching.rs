@@ -1,26 +1,17 @@
-//! Dances that share the model's steps come out as if each were alone.
-
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
+//! Motions that share the model's steps come out as if each were alone.
 
 use std::sync::{
     Arc, Barrier,
     atomic::{AtomicUsize, Ordering},
 };
 
+use crate::common::{TOLERANCE, assert_close, codes, fixture, floats, imported, rows};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, EngineConfig, EngineError, GenerationOptions, Progress, RawDance},
     model::{Gpt, GptMemory, Logits, NextStep, Steps, WeightStorage, WindowKind},
 };
-use common::{TOLERANCE, assert_close, codes, fixture, floats, imported, rows};
 use ndarray::{Array2, Axis};
 use tempfile::TempDir;
 

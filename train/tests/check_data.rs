@@ -1,20 +1,13 @@
 //! `check-data` as a person meets it, and over the real folders.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-#[path = "../src/data/testing.rs"]
-mod testing;
-
+use crate::common;
+use crate::testing;
 use std::{
     path::Path,
     process::{Command, Output},
 };
 
+use crate::testing::TestFolder;
 use bailando_train::{
     data::{
         Dataset, OpenOptions,
@@ -23,7 +16,6 @@ use bailando_train::{
     export::skeleton,
 };
 use serde_json::{Value, json};
-use testing::TestFolder;
 
 fn check_data(folder: &Path, more: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_bailando-train"))
@@ -144,8 +136,8 @@ fn the_salsa_set_is_as_its_description_says() {
         .collect();
     assert_eq!(minutes, ["100.1 22.3", "19.5 2.8"]);
     let data = Dataset::open(&folder, &OpenOptions::default()).unwrap();
-    assert_eq!(data.training().unwrap().dances().len(), 44);
-    assert_eq!(data.evaluation().unwrap().dances().len(), 6);
+    assert_eq!(data.training().unwrap().recordings().len(), 44);
+    assert_eq!(data.evaluation().unwrap().recordings().len(), 6);
 }
 
 #[test]

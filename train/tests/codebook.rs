@@ -1,20 +1,12 @@
 //! The codebook of the golden model as numbers, as sheets and as a page.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
+use crate::common::{alone, imported};
 use bailando::{
     CancelToken,
     codebook::{Catalogue, Half, Order, Uses},
     formats::Codes,
     model::ModelDirectory,
 };
-use common::imported;
 use ndarray::Array2;
 use serde_json::Value;
 use tempfile::TempDir;
@@ -71,6 +63,7 @@ fn count(svg: &str, element: &str) -> usize {
 
 #[test]
 fn every_pose_is_the_middle_of_its_repeated_code() {
+    let _alone = alone();
     let (_folder, directory) = model();
     let json = serde_json::to_value(catalogue(&directory)).unwrap();
     assert_eq!(json["motion_frame"], "world");
@@ -104,6 +97,7 @@ fn every_pose_is_the_middle_of_its_repeated_code() {
 
 #[test]
 fn the_nearest_code_is_at_the_smallest_mean_distance_of_the_halfs_joints() {
+    let _alone = alone();
     let (_folder, directory) = model();
     let json = serde_json::to_value(catalogue(&directory)).unwrap();
     let upper: Vec<usize> = (0..24).filter(|joint| !LOWER.contains(joint)).collect();
@@ -136,6 +130,7 @@ fn the_nearest_code_is_at_the_smallest_mean_distance_of_the_halfs_joints() {
 
 #[test]
 fn a_sheet_has_a_numbered_figure_for_every_code() {
+    let _alone = alone();
     let (_folder, directory) = model();
     let catalogue = catalogue(&directory);
     for (half, title) in [(Half::Upper, "Upper"), (Half::Lower, "Lower")] {
@@ -165,6 +160,7 @@ fn a_sheet_has_a_numbered_figure_for_every_code() {
 
 #[test]
 fn counted_codes_are_labelled_and_sorted_by_use() {
+    let _alone = alone();
     let (_folder, directory) = model();
     let uses = counted(&directory);
     let catalogue = Catalogue::new(&directory, 1, Some(&uses), 4).unwrap();
@@ -178,6 +174,7 @@ fn counted_codes_are_labelled_and_sorted_by_use() {
 
 #[test]
 fn strips_show_counted_changes_else_start_codes_else_evenly_drawn_ones() {
+    let _alone = alone();
     let strips = |directory: &ModelDirectory, uses: Option<&Uses>, most| {
         let catalogue = Catalogue::new(directory, 1, uses, most).unwrap();
         let svg = catalogue.transitions_sheet().unwrap();
@@ -201,6 +198,7 @@ fn strips_show_counted_changes_else_start_codes_else_evenly_drawn_ones() {
 
 #[test]
 fn the_page_holds_every_sheet_and_needs_nothing_else() {
+    let _alone = alone();
     let (_folder, directory) = model();
     let catalogue = catalogue(&directory);
     let page = catalogue.page(4, Order::Number).unwrap();

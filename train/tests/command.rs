@@ -1,27 +1,8 @@
 //! The command line as a person meets it: help, exit codes, one-line errors.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
+use std::{path::Path, process::Output};
 
-mod common;
-
-use std::{
-    path::Path,
-    process::{Command, Output},
-};
-
-use common::fixture;
-
-fn train(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_bailando-train"))
-        .args(arguments)
-        .env_remove("COLUMNS")
-        .output()
-        .unwrap()
-}
+use crate::common::{self, fixture, stdout, train};
 
 /// Imports the golden models into `out` with more arguments.
 fn import(out: &Path, more: &[&str]) -> Output {
@@ -35,10 +16,6 @@ fn import_from(vqvae: &Path, gpt: &Path, out: &Path, more: &[&str]) -> Output {
     let mut arguments = vec!["import", "--vqvae", &vqvae, "--gpt", &gpt, "--out", &out];
     arguments.extend(more);
     train(&arguments)
-}
-
-fn stdout(output: &Output) -> String {
-    String::from_utf8(output.stdout.clone()).unwrap()
 }
 
 /// The one line of a failure, without the folder of the day.
@@ -68,43 +45,15 @@ fn help() {
 
 #[test]
 fn wrong_usage_exits_with_2() {
-    for arguments in [
-        &["dance"][..],
-        &["import"],
-        &[
-            "import",
-            "--vqvae",
-            "a",
-            "--gpt",
-            "b",
-            "--out",
-            "c",
-            "--temperature",
-            "-1",
-        ],
-        &[
-            "import",
-            "--vqvae",
-            "a",
-            "--gpt",
-            "b",
-            "--out",
-            "c",
-            "--profile",
-            "librosa-9",
-        ],
-        &[
-            "import",
-            "--vqvae",
-            "a",
-            "--gpt",
-            "b",
-            "--out",
-            "c",
-            "--root-height",
-            "nan",
-        ],
-    ] {
+    let import = ["import", "--vqvae", "a", "--gpt", "b", "--out", "c"];
+    let wrong = [
+        ["--temperature", "-1"],
+        ["--profile", "librosa-9"],
+        ["--root-height", "nan"],
+    ];
+    let imports = wrong.map(|wrong| [&import[..], &wrong].concat());
+    let others = [&["dance"][..], &["import"], &["encode", "--out", "c"]].map(<[_]>::to_vec);
+    for arguments in imports.iter().chain(&others) {
         assert_eq!(train(arguments).status.code(), Some(2), "{arguments:?}");
     }
 }
@@ -236,25 +185,4 @@ fn failures_are_one_line_and_leave_nothing() {
     assert!(!out.exists());
     let left = std::fs::read_dir(folder.path()).unwrap().count();
     assert_eq!(left, 4, "only the inputs are left");
-}
-
-#[test]
-fn a_model_of_two_trainings_is_refused() {
-    let test = "a_model_of_two_trainings_is_refused";
-    let Some(bootstrap) = common::shared(test, "model/bootstrap") else {
-        return;
-    };
-    let folder = tempfile::tempdir().unwrap();
-    let out = folder.path().join("model");
-    let output = import_from(
-        &fixture("tiny_vqvae.pt"),
-        &bootstrap.join("gpt.pt"),
-        &out,
-        &["--heads", "8"],
-    );
-    assert_eq!(
-        failure(&output, folder.path()),
-        "error: the GPT has 256 upper codes, but the VQ-VAE's codebook has 16: are they of the same \
-         model?\n"
-    );
 }

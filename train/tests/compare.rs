@@ -1,15 +1,7 @@
 //! `compare`: a model beside the same with quantised weights.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-#[path = "../src/data/testing.rs"]
-mod testing;
-
+use crate::common::imported;
+use crate::testing::TestFolder;
 use bailando::model::WeightStorage;
 use bailando_train::{
     compare::{CompareOptions, Comparison, compare},
@@ -17,8 +9,6 @@ use bailando_train::{
     export::skeleton,
     held_out::Recordings,
 };
-use common::imported;
-use testing::TestFolder;
 
 fn compared(weights: WeightStorage) -> Comparison {
     let (original, _) = imported(|_| {});

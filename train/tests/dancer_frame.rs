@@ -1,16 +1,10 @@
 //! A model whose motion is in the dancer's frame, from weights to the served dance: the golden
 //! model with a root's decoder that turns as well.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
+use crate::common;
 use std::{fs, path::Path, sync::Arc};
 
+use crate::common::{assert_close, gpt, options, vqvae};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
@@ -20,25 +14,18 @@ use bailando::{
     motion::{MotionFrame, to_world_frame},
 };
 use bailando_train::{
-    Tensor,
-    checkpoint::Checkpoint,
+    HostTensor,
     export::{ExportError, write_model_directory},
     nn::{Codebook, DecoderNet, Parameters, Store},
     onnx::InputRanges,
-    weights::{Convolution, DecoderWeights, GptWeights, HALF_JOINTS, VqVaeWeights},
+    weights::{Convolution, DecoderWeights, HALF_JOINTS, VqVaeWeights},
 };
 use burn_flex::{Flex, FlexDevice};
-use burn_tensor::{Int, Tensor as Device, TensorData};
-use common::{HEADS, assert_close, fixture, options};
+use burn_tensor::{Int, Tensor, TensorData};
 use ndarray::Array2;
 
 /// Turns are summed over a whole piece, and their rounding with them.
 const TOLERANCE: f32 = 5e-4;
-
-fn vqvae() -> VqVaeWeights {
-    let mut checkpoint = Checkpoint::open(&fixture("tiny_vqvae.pt")).unwrap();
-    VqVaeWeights::from_checkpoint(&mut checkpoint).unwrap()
-}
 
 /// The golden weights with a fourth row in the root's decoder, a turn to and fro.
 fn turning() -> VqVaeWeights {
@@ -50,15 +37,14 @@ fn turning() -> VqVaeWeights {
     offsets.push(0.01);
     let shape = vec![4, weight.dim(1), weight.dim(2)];
     weights.root.output = Convolution {
-        weight: Tensor::new(shape, values).unwrap(),
-        bias: Tensor::new(vec![4], offsets).unwrap(),
+        weight: HostTensor::new(shape, values).unwrap(),
+        bias: HostTensor::new(vec![4], offsets).unwrap(),
     };
     weights
 }
 
 fn write(weights: &VqVaeWeights, frame: MotionFrame, out: &Path) -> Result<Manifest, ExportError> {
-    let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
-    let gpt = GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
+    let gpt = gpt();
     let mut description = options(Path::new(""), Path::new(""), out).description;
     description.motion_frame = frame;
     write_model_directory(
@@ -98,13 +84,13 @@ fn dance(choreographer: &Choreographer) -> RawDance {
 }
 
 /// What the trainer's network makes of `codes`, `[frames, columns]`.
-fn network(decoder: &DecoderWeights, codebook: &Tensor, codes: &[u32]) -> Array2<f32> {
+fn network(decoder: &DecoderWeights, codebook: &HostTensor, codes: &[u32]) -> Array2<f32> {
     let mut store = Store::default();
     let net = DecoderNet::new("decoder", decoder, &mut store);
     let parameters = Parameters::<Flex>::from_store(&store, &FlexDevice);
     let indices: Vec<i32> = codes.iter().map(|&code| code as i32).collect();
     let shape = [indices.len()];
-    let indices = Device::<Flex, 1, Int>::from_data(TensorData::new(indices, shape), &FlexDevice);
+    let indices = Tensor::<Flex, 1, Int>::from_data(TensorData::new(indices, shape), &FlexDevice);
     let entries = Codebook::<Flex>::new(codebook, &FlexDevice).lookup(indices);
     let motion = net.forward(&parameters, entries.unsqueeze_dim(0));
     let [_, frames, columns] = motion.dims();
@@ -182,8 +168,8 @@ fn the_manifest_says_the_frame_only_where_it_is_the_dancers() {
     }
 }
 
-/// Manifests from before there was a choice of frame, counts or candidates, and their hashes, stay what
-/// they are.
+/// Manifests from before there was a choice of frame, counts or candidates, and their hashes, stay
+/// what they are.
 #[test]
 fn the_first_manifest_is_unchanged_by_reading_and_writing() {
     let manifest = unchanged("../tests/fixtures/model/manifest_of_the_first_model.json");

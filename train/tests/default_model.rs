@@ -1,11 +1,5 @@
 //! The model that ships: whole, loadable, documented and small enough.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
 use std::{fs, path::Path};
 
 use bailando::{CancelToken, model::ModelDirectory};
@@ -41,8 +35,8 @@ fn the_default_model_is_whole() {
     );
 }
 
-/// ARCHITECTURE section 7: one code repeated decodes to a still pose. That is why one frame can stand
-/// for a code in `bailando codebook`.
+/// ARCHITECTURE section 7: one code repeated decodes to a still pose. That is why one frame can
+/// stand for a code in `bailando codebook`.
 #[test]
 fn a_repeated_code_stands_still_and_another_one_moves() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/default");
@@ -50,7 +44,8 @@ fn a_repeated_code_stands_still_and_another_one_moves() {
     let mut decoder = directory.decoder(1).unwrap();
     let mut moved = |codes: &[u32]| {
         let motion = decoder.decode(codes, codes, &CancelToken::new()).unwrap();
-        // Metres from the first to the last frame of the two codes in the middle, mean of all joints.
+        // Metres from the first to the last frame of the two codes in the middle, mean of all
+        // joints.
         let (first, last) = (motion.row(40), motion.row(55));
         let places = (1..24).map(|joint| {
             let axes =
@@ -75,7 +70,8 @@ fn a_repeated_code_stands_still_and_another_one_moves() {
     assert!(changing > 0.1, "a change of codes moves by {changing} m");
 }
 
-/// `export.lowest_pelvis` of `presets/default.toml`: what a code repeated shows of the pelvis decides.
+/// `export.lowest_pelvis` of `presets/default.toml`: what a code repeated shows of the pelvis
+/// decides.
 #[test]
 fn codes_of_a_pelvis_near_the_ground_are_suppressed_and_no_others() {
     const LOWEST: f32 = 0.6;

@@ -1,24 +1,14 @@
 //! `encode`: recordings through a model, against the golden codes (ARCHITECTURE section 5).
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-#[path = "../src/data/testing.rs"]
-mod testing;
-
+use crate::common::{codes, fixture, floats, imported};
+use crate::testing::TestFolder;
 use bailando::CancelToken;
 use bailando_train::{
     data::Split,
     encode::{EncodeOptions, encode},
     export::skeleton,
 };
-use common::{codes, fixture, floats, imported};
 use ndarray::{Array2, Array3};
-use testing::TestFolder;
 
 /// The golden motion as joints in world space, its root standing still.
 fn golden_positions() -> Array3<f32> {

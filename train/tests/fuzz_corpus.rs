@@ -1,11 +1,6 @@
 //! The corpus of the checkpoint fuzz target on any compiler: every file, and mutations of them,
 //! through what the target calls.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "tests stop where something is not as it should be"
-)]
-
 use std::path::Path;
 
 #[test]

@@ -1,29 +1,10 @@
-//! Dances of a run that has no export, through the real binary.
+//! Motions of a run that has no export, through the real binary.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-#[path = "../src/data/testing.rs"]
-mod testing;
-
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use crate::{common::train, testing, testing::TestFolder};
+use std::{fs, path::Path};
 
 use bailando_train::export::skeleton;
 use ndarray::Array3;
-use testing::TestFolder;
-
-fn train(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_bailando-train"))
-        .args(arguments)
-        .output()
-        .unwrap()
-}
 
 #[test]
 fn a_run_with_separate_halves_dances_but_is_not_exported() {
@@ -66,14 +47,15 @@ fn a_run_with_separate_halves_dances_but_is_not_exported() {
     let refused = train(&["export", &config]);
     assert_eq!(
         String::from_utf8(refused.stderr).unwrap(),
-        "error: export: not with ablation.separate_halves (its dances: `bailando-train generate`)\n"
+        "error: export: not with ablation.separate_halves (generate its motion: `bailando-train \
+         generate`)\n"
     );
 
     let dance = |out: &str, seed: &str| -> Array3<f32> {
         let out = path(out);
         let made = train(&["generate", &config, "--out", &out, "--seed", seed]);
         let report = String::from_utf8(made.stdout).unwrap();
-        assert_eq!(report, format!("wrote 1 dances to {out}\n"));
+        assert_eq!(report, format!("wrote 1 motions to {out}\n"));
         let files: Vec<_> = fs::read_dir(&out).unwrap().collect();
         assert_eq!(files.len(), 1, "one piece of the test split");
         ndarray_npy::read_npy(Path::new(&out).join("three_a.npy")).unwrap()

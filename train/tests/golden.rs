@@ -1,23 +1,18 @@
 //! Single runs of the three graphs against the golden vectors (ARCHITECTURE section 5). Sampling
 //! itself is the engine's: here every window is given.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
+use std::{path::Path, sync::Arc};
 
-mod common;
-
-use std::{ops::Range, path::Path, sync::Arc};
-
+use crate::common::{
+    self, TOLERANCE, assert_close, codes, fixture, floats, imported, options, rows, shared,
+};
 use bailando::{
     CancelToken,
     audio::AudioLimits,
     engine::{Choreographer, DEFAULT_BATCH, EngineConfig, GenerationOptions},
     model::{Gpt, KvCache, Logits, ModelDirectory, Steps, WeightStorage, WindowKind},
 };
-use common::{TOLERANCE, assert_close, codes, fixture, floats, imported, rows, shared};
+use bailando_train::{HostTensor, export::write_model_directory, onnx::InputRanges};
 use ndarray::{Array1, Array2, Axis};
 
 /// Longest history while sampling.
@@ -65,21 +60,12 @@ fn run(
     from: usize,
     to: usize,
 ) -> Logits {
-    run_beside(gpt, cache, codes, &floats(&fixture("music.npy")), from..to)
-}
-
-/// Runs some codes with the music rows beside them (the reference drops the first row).
-fn run_beside(
-    gpt: &mut Gpt,
-    cache: &mut KvCache,
-    codes: &(Vec<u32>, Vec<u32>),
-    music: &Array2<f32>,
-    range: Range<usize>,
-) -> Logits {
+    let music = floats(&fixture("music.npy"));
     let steps = Steps {
-        upper: &codes.0[range.clone()],
-        lower: &codes.1[range.clone()],
-        music: rows(music, range.start + 1..range.end + 1),
+        upper: &codes.0[from..to],
+        lower: &codes.1[from..to],
+        // The reference drops the first row of music.
+        music: rows(&music, from + 1..to + 1),
     };
     gpt.run(steps, cache, &CancelToken::new()).unwrap()
 }
@@ -304,99 +290,73 @@ fn half_precision_weights_stay_close() {
     assert!(worst > 0.0 && worst < 1e-2, "{worst}");
 }
 
-fn bootstrap(folder: &Path, storage: WeightStorage) -> (tempfile::TempDir, ModelDirectory) {
-    imported(|options| {
-        options.vqvae = folder.join("vqvae.pt");
-        options.gpt = folder.join("gpt.pt");
-        options.heads = 8;
-        options.start_codes = Some(folder.join("start_codes.json"));
-        options.description.weights = storage;
-    })
-}
-
 #[test]
-fn the_bootstrap_model_decodes_as_its_card_says() {
-    let test = "the_bootstrap_model_decodes_as_its_card_says";
-    let Some(folder) = shared(test, "model/bootstrap") else {
-        return;
-    };
-    let codes = demo_codes(&folder, "hop15");
-    let golden = floats(&folder.join("demo_decode_hop15.npy"));
-
-    let (_folder, exact) = bootstrap(&folder, WeightStorage::F32);
-    let (_other, halved) = bootstrap(&folder, WeightStorage::F16);
-    assert_eq!(exact.manifest().start_codes.len(), 22);
-    let motion = decode_chunked(&exact, &codes, codes.0.len(), 0);
-    let first = rows(&motion, 0..golden.nrows()).to_owned();
-    assert_close(&first, &golden, 1e-4, "demo_decode_hop15");
-    // Its weights are half precision already: storing them so loses nothing.
-    assert_eq!(decode_chunked(&halved, &codes, codes.0.len(), 0), motion);
-}
-
-/// The bootstrap's own codes of the demo song, (upper, lower).
-fn demo_codes(folder: &Path, window: &str) -> (Vec<u32>, Vec<u32>) {
-    let path = folder.join(format!("demo_codes_{window}.npy"));
-    let codes: Array2<i64> = ndarray_npy::read_npy(path).unwrap();
-    let half = |row: usize| codes.row(row).iter().map(|&code| code as u32).collect();
-    (half(0), half(1))
-}
-
-#[test]
-fn the_bootstrap_model_predicts_the_demo_songs_codes() {
-    let test = "the_bootstrap_model_predicts_the_demo_songs_codes";
-    let Some(folder) = shared(test, "model/bootstrap") else {
-        return;
-    };
-    let (_folder, directory) = bootstrap(&folder, WeightStorage::F16);
+fn the_model_predicts_the_golden_codes() {
+    let (_folder, directory) = imported(|_| {});
     let mut gpt = directory.gpt(1).unwrap();
-    let music = floats(&folder.join("demo_music.npy"));
-    for (sampling, window) in SAMPLINGS.iter().zip(["sliding", "hop15"]) {
-        let codes = demo_codes(&folder, window);
-        assert_eq!(codes.0.len(), music.nrows());
+    for sampling in SAMPLINGS {
+        let codes = sampling.codes();
         for k in 0..codes.0.len() - 1 {
             let from = k + 1 - sampling.window(k);
             let mut cache = gpt.empty_cache().unwrap();
-            let logits = run_beside(&mut gpt, &mut cache, &codes, &music, from..k + 1);
+            let logits = run(&mut gpt, &mut cache, &codes, from, k + 1);
             let next = [&logits.upper, &logits.lower].map(|half| first_maximum(&last_row(half)));
             let expected = [codes.0[k + 1], codes.1[k + 1]];
-            assert_eq!(next.map(|code| code as u32), expected, "{window} step {k}");
+            let name = sampling.name;
+            assert_eq!(next.map(|code| code as u32), expected, "{name} step {k}");
         }
     }
 }
 
-/// The engine's own loop over the demo song, by the same independent implementation.
+/// The engine's own loop over the golden music, by the same independent implementation.
 #[test]
-fn the_engine_repeats_the_bootstrap_models_codes() {
-    let test = "the_engine_repeats_the_bootstrap_models_codes";
-    let Some(folder) = shared(test, "model/bootstrap") else {
-        return;
-    };
-    let (imported, _) = bootstrap(&folder, WeightStorage::F16);
+fn the_engine_repeats_the_golden_codes() {
+    let (folder, _directory) = imported(|_| {});
     let engine = Choreographer::open(&EngineConfig {
-        model_dir: imported.path().join("model"),
+        model_dir: folder.path().join("model"),
         threads: 1,
         batch: DEFAULT_BATCH.get(),
         queue: 1,
         audio: AudioLimits::default(),
-        observer: std::sync::Arc::new(()),
+        observer: Arc::new(()),
     })
     .unwrap();
-    let music = floats(&folder.join("demo_music.npy"));
-    for (window, name) in [(WindowKind::Sliding, "sliding"), (WindowKind::Hop, "hop15")] {
+    let start = codes(&fixture("start_codes.npy"));
+    for (sampling, window) in SAMPLINGS.iter().zip([WindowKind::Sliding, WindowKind::Hop]) {
         let options = GenerationOptions {
-            start_upper: Some(84),
-            start_lower: Some(210),
+            start_upper: Some(start[0]),
+            start_lower: Some(start[1]),
             temperature: Some(0.0),
             window: Some(window),
-            hop: Some(15),
+            hop: Some(sampling.kept),
             ..GenerationOptions::default()
         };
+        let music = floats(&fixture("music.npy"));
         let dance = engine
-            .dance_to_rows(music.clone(), &options, &CancelToken::new(), Arc::new(()))
+            .dance_to_rows(music, &options, &CancelToken::new(), Arc::new(()))
             .unwrap();
         let found = (dance.codes.upper, dance.codes.lower);
-        assert_eq!(found, demo_codes(&folder, name), "{name}");
+        assert_eq!(found, sampling.codes(), "{}", sampling.name);
     }
+}
+
+#[test]
+fn a_model_of_two_trainings_is_refused() {
+    let (vqvae, mut gpt) = (common::vqvae(), common::gpt());
+    for table in [&mut gpt.upper_embedding, &mut gpt.upper_head] {
+        let twice = [table.data(), table.data()].concat();
+        *table = HostTensor::new(vec![32, table.dim(1)], twice).unwrap();
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("model");
+    let description = options(Path::new(""), Path::new(""), &out).description;
+    let ranges = InputRanges::default();
+    let refused = write_model_directory(&out, false, &gpt, &ranges, &vqvae, &description);
+    assert_eq!(
+        refused.unwrap_err().to_string(),
+        "the GPT has 32 upper codes, but the VQ-VAE's codebook has 16: are they of the same model?"
+    );
+    assert!(!out.exists());
 }
 
 fn first_maximum(row: &Array2<f32>) -> usize {

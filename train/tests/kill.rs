@@ -1,16 +1,6 @@
 //! `run` as the operating system may treat it: killed at points in time drawn at random, the real
 //! binary ends with the same files, byte for byte, as when nobody disturbs it.
 
-#![cfg(unix)]
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-#[path = "../src/data/testing.rs"]
-mod testing;
-
 use std::{
     collections::BTreeMap,
     fs,
@@ -22,6 +12,7 @@ use std::{
     time::{Duration, SystemTime},
 };
 
+use crate::testing::TestFolder;
 use bailando::{
     CancelToken,
     audio::AudioLimits,
@@ -33,7 +24,6 @@ use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},
 };
-use testing::TestFolder;
 use toml::{Table, Value};
 
 /// Stages, their tables of settings, and whether they measure a test loss.
@@ -246,13 +236,47 @@ fn another_default_is_another_model(settings: &Path, model: &Path) {
 }
 
 #[test]
+fn an_interrupt_writes_a_checkpoint() {
+    let data = TestFolder::good(&skeleton(0.93));
+    let folder = tempfile::tempdir().unwrap();
+    // Without the interrupt there is no checkpoint before the stage's end.
+    let path = settings(data.write(), folder.path(), 1e9);
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, text.replace("steps = 24", "steps = 100000")).unwrap();
+    for signal in ["INT", "TERM"] {
+        let mut child = command(&path).stdout(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let line = lines
+            .by_ref()
+            .map(|line| line.unwrap())
+            .find(|line| place(line).is_some());
+        let (_, reported) = place(&line.unwrap()).unwrap();
+        let id = child.id().to_string();
+        let sent = Command::new("kill")
+            .args(["-s", signal, &id])
+            .status()
+            .unwrap();
+        assert!(sent.success());
+        let last = lines.last().unwrap().unwrap();
+        assert_eq!(last, "paused: the same command resumes", "{signal}");
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{signal}");
+        let bytes = fs::read(folder.path().join("run/vqvae/checkpoint.safetensors")).unwrap();
+        let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
+        let facts = &header.metadata().as_ref().unwrap()["facts"];
+        let facts: serde_json::Value = serde_json::from_str(facts).unwrap();
+        let step: u64 = facts["step"].as_str().unwrap().parse().unwrap();
+        assert!(step >= reported, "{signal}: {step} {reported}");
+    }
+}
+
+#[test]
 fn a_limit_pauses_and_a_model_in_the_way_is_told_at_once() {
     let data = TestFolder::good(&skeleton(0.93));
     let folder = tempfile::tempdir().unwrap();
     let settings = settings(data.write(), folder.path(), 60.0);
     let output = command(&settings).args(["--max-seconds", "0"]).output();
     let report = texts(&output.unwrap());
-    assert_eq!(report, "paused: the same command goes on\n");
+    assert_eq!(report, "paused: the same command resumes\n");
     let checkpoint = folder.path().join("run/vqvae/checkpoint.safetensors");
     let paused = fs::read(&checkpoint).unwrap();
 

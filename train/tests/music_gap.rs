@@ -1,17 +1,9 @@
 //! `music-gap`: what a model foretells with the right and with other music.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-#[path = "../src/data/testing.rs"]
-mod testing;
-
 use std::fs;
 
+use crate::common::imported;
+use crate::testing::{TestFolder, clicks};
 use bailando_train::{
     data::Split,
     encode::EncodeError,
@@ -19,8 +11,6 @@ use bailando_train::{
     held_out::Recordings,
     music_gap::{MusicGap, MusicGapOptions, music_gap},
 };
-use common::imported;
-use testing::{TestFolder, clicks};
 
 /// Windows of a block of 29 that fit into 75 codes, twice, in each of three pieces.
 const CODES: usize = 3 * 2 * 29;

@@ -1,22 +1,14 @@
 //! The networks of the trainer, filled from the golden checkpoints, against the golden vectors
 //! (ARCHITECTURE section 5), and back to the same weights.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
+use crate::common::{HEADS, codes, fixture, floats, gpt, vqvae};
 use bailando_train::{
-    checkpoint::Checkpoint,
+    checkpoint::TorchCheckpoint,
     nn::{Codebook, CriticNet, DecoderNet, GptNet, HalfNet, Parameters, Store},
-    weights::{CriticWeights, GptWeights, HALF_JOINTS, HalfWeights, VqVaeWeights},
+    weights::{CriticWeights, HALF_JOINTS, HalfWeights},
 };
 use burn_flex::{Flex, FlexDevice};
 use burn_tensor::{Int, Tensor, TensorData};
-use common::{HEADS, codes, fixture, floats};
 use ndarray::{Array1, Array2};
 
 /// Largest difference to the golden vectors.
@@ -26,16 +18,6 @@ const BASE_LAYERS: usize = 2;
 
 fn device() -> FlexDevice {
     FlexDevice
-}
-
-fn vqvae() -> VqVaeWeights {
-    let mut checkpoint = Checkpoint::open(&fixture("tiny_vqvae.pt")).unwrap();
-    VqVaeWeights::from_checkpoint(&mut checkpoint).unwrap()
-}
-
-fn gpt() -> GptWeights {
-    let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
-    GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap()
 }
 
 fn indices(codes: &[u32]) -> Tensor<Flex, 1, Int> {
@@ -153,7 +135,7 @@ fn the_gpt_gives_the_golden_logits() {
 
 #[test]
 fn the_critic_gives_the_golden_values() {
-    let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
+    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_gpt.pt")).unwrap();
     let weights = CriticWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap();
     let mut store = Store::default();
     let net = GptNet::new(&gpt(), &mut store);

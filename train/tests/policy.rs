@@ -1,28 +1,19 @@
 //! Learning from rewards, with tiny networks: what is frozen stays, a resumed run equals an
 //! undisturbed one, and the adapted model is served. (That rewards rise is a unit test.)
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-#[path = "../src/data/testing.rs"]
-mod testing;
-
+use crate::testing;
 use std::{fs, path::Path, process::Command, sync::Arc};
 
+use crate::common::{alone, swinging};
 use bailando::model::ModelDirectory;
 use bailando_train::{
     export::skeleton,
     training::{
-        Adaptation, Config, Dances, Limits, MotionFrame, MotionPiece, MotionSet, Outcome, Song,
+        Adaptation, Config, Limits, MotionFrame, MotionPiece, MotionSet, Motions, Outcome, Song,
         SongRows, Stage, TrainError, adapt, export, export_adapted, train, trained_weights,
     },
     weights::GptWeights,
 };
-use common::swinging;
 use ndarray::Array2;
 use safetensors::SafeTensors;
 
@@ -48,7 +39,7 @@ fn motion_set() -> MotionSet {
         piece.with_song(SongRows::new(phases.into()).unwrap())
     };
     MotionSet {
-        training: Dances::new([0.0, 0.7, 1.9].map(piece).into()),
+        training: Motions::new([0.0, 0.7, 1.9].map(piece).into()),
         test: None,
         songs: [0.0, 0.7, 1.9].map(song).into(),
     }
@@ -128,6 +119,7 @@ fn weights(folder: &Path) -> Vec<(String, Vec<u8>)> {
 // One test: stages are expensive to get to.
 #[test]
 fn rewards_move_the_policy() {
+    let _alone = alone();
     let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let [first, second] = folders.each_ref().map(|folder| folder.path());
     let config = run_to_gpt(first);
@@ -252,6 +244,7 @@ fn adapts(config: &Config, folder: &Path) {
 /// From a data folder and an audio file to two model directories, by the commands themselves.
 #[test]
 fn commands_train_and_adapt() {
+    let _alone = alone();
     let data = testing::TestFolder::good(&skeleton(0.93));
     data.write();
     let folder = tempfile::tempdir().unwrap();

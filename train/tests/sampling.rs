@@ -1,15 +1,6 @@
 //! Whole samplings by the engine on imported golden models: codes, motion and joints (ARCHITECTURE
 //! section 5), cancellation, and a queue that says when it is full.
 
-#![allow(
-    clippy::expect_used,
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
 use std::{
     path::Path,
     sync::{
@@ -19,6 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use crate::common::{TOLERANCE, assert_close, codes, fixture, floats, imported, shared};
 use bailando::{
     CancelToken, Error,
     audio::AudioLimits,
@@ -28,7 +20,6 @@ use bailando::{
     model::WindowKind,
     motion::integrate_root,
 };
-use common::{TOLERANCE, assert_close, codes, fixture, floats, imported, shared};
 use ndarray::Array2;
 use tempfile::TempDir;
 

@@ -1,27 +1,19 @@
 //! All stages with the `tiny` preset on made-up motion: losses fall, a resumed run equals an
 //! undisturbed one, and the served model equals the trainer's networks.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-mod common;
-
 use std::{fs, path::Path, sync::Arc};
 
+use crate::common::{self, swinging};
 use bailando::{CancelToken, model::ModelDirectory, model::Steps};
 use bailando_train::{
     nn::{Codebook, DecoderNet, GptNet, Parameters, Store},
     training::{
-        Config, Dances, Limits, MotionFrame, MotionPiece, MotionSet, Outcome, SongRows, Stage,
+        Config, Limits, MotionFrame, MotionPiece, MotionSet, Motions, Outcome, SongRows, Stage,
         export, train, trained_weights,
     },
 };
 use burn_flex::{Flex, FlexDevice};
 use burn_tensor::{Int, Tensor, TensorData};
-use common::swinging;
 use ndarray::Array2;
 
 const STAGES: [Stage; 3] = [Stage::VqVae, Stage::Velocity, Stage::Gpt];
@@ -48,11 +40,7 @@ fn motion_set() -> MotionSet {
         let piece = MotionPiece::from_positions(positions, MotionFrame::Dancer).unwrap();
         piece.with_song(song)
     };
-    MotionSet {
-        training: Dances::new([0.0, 0.7, 1.9].map(piece).into()),
-        test: None,
-        songs: Vec::new(),
-    }
+    MotionSet::new(Motions::new([0.0, 0.7, 1.9].map(piece).into()), None)
 }
 
 fn run(config: &Config, set: &MotionSet, stage: Stage, limits: Limits) -> Outcome {
@@ -67,9 +55,9 @@ fn losses(config: &Config, stage: &str) -> Vec<f32> {
         .collect()
 }
 
-// One test: the random generator of the CPU backend belongs to the process.
 #[test]
 fn a_run_learns_resumes_exactly_and_is_served() {
+    let _alone = common::alone();
     let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
     let [whole, broken] = [0, 1].map(|index| config(folders[index].path()));
     let set = motion_set();

@@ -1,39 +1,25 @@
 //! Stages on data folders of every layout, and what of them may reach a checkpoint.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-#[path = "../src/data/testing.rs"]
-mod testing;
-
 use std::{
     collections::BTreeMap,
     fs,
     path::{Path, PathBuf},
-    sync::{Mutex, MutexGuard},
 };
 
+use crate::common::alone;
+use crate::testing::{FRAMES, TestFolder, clicks, dance};
 use bailando_train::{
     export::skeleton,
     training::{Config, Limits, Load, MotionFrame, MotionSet, Outcome, Stage, train},
 };
 use safetensors::SafeTensors;
 use serde_json::json;
-use testing::{FRAMES, TestFolder, clicks, dance};
 
 const STAGES: [(Stage, Load, &str); 3] = [
     (Stage::VqVae, Load::Motion, "vqvae"),
     (Stage::Velocity, Load::Motion, "velocity"),
     (Stage::Gpt, Load::Music, "gpt"),
 ];
-
-/// The random generator of the CPU backend belongs to the process.
-fn alone() -> MutexGuard<'static, ()> {
-    static ALONE: Mutex<()> = Mutex::new(());
-    ALONE.lock().unwrap()
-}
 
 /// Few steps with the `tiny` preset; run and cache lie in `out`.
 fn config(data: &Path, out: &Path) -> Config {
@@ -95,7 +81,7 @@ fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
     );
     let report = run(&config);
     assert!(report.contains("music of 4/4 songs"), "{report}");
-    assert!(report.contains("codes of 2/2 dances"), "{report}");
+    assert!(report.contains("codes of 2/2 motions"), "{report}");
     // Velocity forward, up and to the left, and the turn.
     assert_eq!(shape(&config, "velocity", "weight.root.output.bias"), [4]);
     assert_eq!(shape(&config, "gpt", "music.mean"), [438]);
@@ -180,6 +166,6 @@ fn aist_dances_train_and_find_their_songs_in_a_folder_of_their_own() {
     assert!(
         refused
             .to_string()
-            .contains("no dance of the training split has music")
+            .contains("no motion of the training split has music")
     );
 }

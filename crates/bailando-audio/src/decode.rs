@@ -1,355 +1,280 @@
-//! The packet loop: decode, mix to mono, cut, resample, count; nothing of a song is kept but the
-//! resampled outputs.
+//! The decoder's one pass over a file; of a song only the resampled outputs are kept.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use bailando_core::CancelToken;
+use bytes::Bytes;
 use symphonia::core::errors::Error as SymphoniaError;
 
-use super::{
-    AudioError, AudioLimits, AudioRange, DecodedAudio,
+use crate::{
+    container::Container,
+    demux::Demuxer,
     downmix::Downmix,
+    error::AudioError,
+    flac::Gap,
     gapless::Trim,
-    limits::{SLACK_S, Watch},
-    outputs::Outputs,
-    sniff::{Container, Upload},
-    source::{Packets, ogg_is_whole},
+    headers,
+    limits::{AudioLimits, AudioRange, Deadline, DecodeRequest},
+    ogg,
+    sink::{DecodedAudio, Sink},
+    sniff::{Upload, sniff},
 };
 
-/// What one call of the decoder is to do.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Job<'job> {
-    pub(super) range: AudioRange,
-    pub(super) rates: &'job [u32],
-    pub(super) limits: &'job AudioLimits,
-    pub(super) watch: &'job Watch<'job>,
+/// Decodes `bytes`, mixes all channels to one and resamples to each of `rates` (Hz) while decoding.
+///
+/// The container is detected from the bytes. Outside the used range the signals are zero, as at the
+/// ends of a file; encoder delay and padding are taken off; damaged packets become silence. Beyond
+/// the outputs (`4 * duration * rate` bytes per rate) nothing grows with the length of the audio:
+/// there are at most 4 MiB of packets read ahead, some seconds on the way to the resamplers, and
+/// one filter table per rate (usually 0.7 MiB, at most 4 MiB; the last 8 are kept for later calls).
+///
+/// `max_seconds` counts from the start of the file to the end of the range, because everything
+/// before the range is decoded as well. Nothing after the range is decoded or counted.
+///
+/// # Errors
+/// Any [`AudioError`]: unknown container, undecodable, outside `limits` or the range, cancelled. A
+/// panic of the decoder is an error of this call alone.
+pub fn decode(
+    bytes: Bytes,
+    range: AudioRange,
+    rates: &[u32],
+    limits: &AudioLimits,
+    cancel: &CancelToken,
+) -> Result<DecodedAudio, AudioError> {
+    contained(move || {
+        let deadline = Deadline::start(limits.max_decode_time, cancel);
+        deadline.check()?;
+        range.check()?;
+        if let Some(&hz) = rates.iter().find(|&&hz| hz == 0) {
+            return Err(AudioError::OutputRate { hz });
+        }
+        let request = DecodeRequest {
+            range,
+            rates,
+            limits,
+            deadline: &deadline,
+        };
+        let upload = sniff(&bytes)?;
+        headers::check(&upload, &request)?;
+        Pass::open(&upload, &request)?.run()
+    })
 }
 
-/// What happened to the packets of a file.
-#[derive(Debug, Default)]
-struct Tally {
+/// Turns a panic inside `work` into an error (RELIABILITY, defence 5). Everything that `work`
+/// touches is dropped by the unwinding, so nothing half-changed is seen afterwards.
+fn contained<T>(work: impl FnOnce() -> Result<T, AudioError>) -> Result<T, AudioError> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
+        let message = payload
+            .downcast_ref::<&str>()
+            .map(|text| (*text).to_owned())
+            .or_else(|| payload.downcast_ref::<String>().cloned())
+            .unwrap_or_else(|| "no message".to_owned());
+        Err(AudioError::DecoderPanic { message })
+    })
+}
+
+/// One pass over the packets of a file.
+struct Pass<'a> {
+    upload: &'a Upload,
+    request: &'a DecodeRequest<'a>,
+    demuxer: Demuxer,
+    downmix: Downmix,
+    /// Made for the format of the first good packet.
+    sink: Option<Sink<'a>>,
     good: usize,
     damaged: usize,
     last_fault: Option<String>,
-    /// Seconds of packets that were lost before the first good one.
+    /// Seconds that were lost before the first good packet.
     lost_in_front_s: f64,
-    chained: bool,
+    /// Seconds of the recording before the file's first packet.
+    cut_from_s: Option<f64>,
 }
 
-/// Decodes all packets of `upload` that the range needs.
-pub(super) fn decode_packets(
-    mut packets: Packets,
-    upload: &Upload,
-    job: &Job<'_>,
-) -> Result<DecodedAudio, AudioError> {
-    let mut decoder = packets.decoder()?;
-    let mut downmix = Downmix::default();
-    let mut tally = Tally::default();
-    let mut sink: Option<Sink<'_>> = None;
-    while let Some(packet) = packets.next(job.watch)? {
-        let missing_s = packets.seconds_lost_before(&packet);
-        if missing_s > 0.0 {
-            tally.lose(missing_s, "packets are missing", sink.as_mut())?;
-        }
-        match decoder.decode(&packet) {
-            Ok(buffer) => {
-                tally.good += 1;
-                let (rate, channels) = (buffer.spec().rate(), buffer.spec().channels().count());
-                if buffer.frames() == 0 {
-                    continue;
-                }
-                job.limits.check_format(rate, channels)?;
-                let sink = match &mut sink {
-                    Some(sink) => sink,
-                    none => {
-                        let trim = Trim::plan(upload, &packets.track, rate);
-                        let mut new = Sink::new(trim, rate, channels, job);
-                        new.silence(tally.lost_in_front_s)?;
-                        none.insert(new)
-                    }
-                };
-                sink.check_same_rate(rate, upload)?;
-                sink.take(downmix.mix(&buffer))?;
+impl<'a> Pass<'a> {
+    fn open(upload: &'a Upload, request: &'a DecodeRequest<'a>) -> Result<Self, AudioError> {
+        Ok(Self {
+            upload,
+            request,
+            demuxer: Demuxer::open(upload)?,
+            downmix: Downmix::default(),
+            sink: None,
+            good: 0,
+            damaged: 0,
+            last_fault: None,
+            lost_in_front_s: 0.0,
+            cut_from_s: None,
+        })
+    }
+
+    /// Decodes all packets that the range needs.
+    fn run(mut self) -> Result<DecodedAudio, AudioError> {
+        let mut decoder = self.demuxer.decoder()?;
+        while let Some(packet) = self.demuxer.next(self.request)? {
+            match self.demuxer.gap_before(&packet) {
+                Some(Gap::Lost(seconds)) => self.lose(seconds, "packets are missing")?,
+                Some(Gap::CutFrom(seconds)) => self.cut_from_s = Some(seconds),
+                None => {}
             }
-            Err(SymphoniaError::ResetRequired) => {
-                tally.chained = true;
+            match decoder.decode(&packet) {
+                Ok(buffer) => {
+                    self.good += 1;
+                    if buffer.frames() > 0 {
+                        let (rate, channels) = (buffer.spec().rate(), buffer.spec().channels());
+                        self.prepare_sink(rate, channels.count())?;
+                        if let Some(sink) = &mut self.sink {
+                            sink.push(self.downmix.mix(&buffer))?;
+                        }
+                    }
+                }
+                Err(SymphoniaError::ResetRequired) => {
+                    self.demuxer.state.chained = true;
+                    break;
+                }
+                Err(error) => {
+                    let seconds = self.demuxer.track.seconds(&packet);
+                    self.lose(seconds, &error.to_string())?;
+                }
+            }
+            if self.sink.as_ref().is_some_and(Sink::is_done) {
                 break;
             }
-            Err(error) => {
-                let seconds = packets.track.seconds(&packet);
-                tally.lose(seconds, &error.to_string(), sink.as_mut())?;
-            }
         }
-        if sink.as_ref().is_some_and(Sink::is_done) {
-            break;
+        self.finish()
+    }
+
+    /// Makes the sink at the first good packet, and refuses another sample rate later.
+    fn prepare_sink(&mut self, rate: u32, channels: usize) -> Result<(), AudioError> {
+        self.request.limits.check_format(rate, channels)?;
+        match &self.sink {
+            None => {
+                let trim = Trim::plan(self.upload, &self.demuxer.track, rate);
+                let mut sink = Sink::new(trim, rate, channels, self.request)?;
+                sink.push_silence(self.lost_in_front_s)?;
+                self.sink = Some(sink);
+                Ok(())
+            }
+            Some(sink) if sink.rate != rate => Err(AudioError::Malformed {
+                container: self.upload.container,
+                reason: format!("its sample rate changes from {} to {rate} Hz", sink.rate),
+            }),
+            Some(_) => Ok(()),
         }
     }
-    let ogg_cut = upload.container == Container::Ogg && !ogg_is_whole(&upload.bytes);
-    packets.ending.cut_off |= ogg_cut;
-    finish(sink, &packets, &tally, &downmix, job)
-}
 
-impl Tally {
-    /// Counts a lost packet. Silence in its place keeps the beats behind it where they are.
-    fn lose(
-        &mut self,
-        seconds: f64,
-        fault: &str,
-        sink: Option<&mut Sink<'_>>,
-    ) -> Result<(), AudioError> {
+    /// Counts lost audio. Silence in its place keeps the beats after it where they are.
+    fn lose(&mut self, seconds: f64, fault: &str) -> Result<(), AudioError> {
         self.damaged += 1;
         self.last_fault = Some(fault.to_owned());
-        match sink {
-            Some(sink) => sink.silence(seconds),
+        match &mut self.sink {
+            Some(sink) => sink.push_silence(seconds),
             None => {
                 self.lost_in_front_s += seconds;
                 Ok(())
             }
         }
     }
-}
 
-/// Judges what was decoded and puts the result together.
-fn finish(
-    sink: Option<Sink<'_>>,
-    packets: &Packets,
-    tally: &Tally,
-    downmix: &Downmix,
-    job: &Job<'_>,
-) -> Result<DecodedAudio, AudioError> {
-    let damaged = tally.damaged + packets.ending.faults;
-    if damaged > tally.good {
-        let fault = tally.last_fault.as_deref().unwrap_or("malformed stream");
-        return Err(AudioError::Malformed {
-            container: packets.container,
-            reason: format!(
-                "{damaged} of {} packets could not be decoded (the last: {fault})",
-                damaged + tally.good
-            ),
-        });
-    }
-    let Some(mut sink) = sink else {
-        if packets.ending.cut_off {
+    /// Judges what was decoded, and puts the result together.
+    fn finish(mut self) -> Result<DecodedAudio, AudioError> {
+        let container = self.upload.container;
+        if container == Container::Ogg && !ogg::is_whole(&self.upload.bytes) {
+            self.demuxer.state.cut_off = true;
+        }
+        let damaged = self.damaged + self.demuxer.state.faults;
+        if damaged > self.good {
+            let fault = self.last_fault.as_deref().unwrap_or("malformed stream");
             return Err(AudioError::Malformed {
-                container: packets.container,
-                reason: "it ends before its first audio".to_owned(),
+                container,
+                reason: format!(
+                    "{damaged} of {} packets could not be decoded (the last: {fault})",
+                    damaged + self.good
+                ),
             });
         }
-        return Err(AudioError::TooShort {
-            seconds: 0.0,
-            min_seconds: job.limits.min_seconds,
-        });
-    };
-    sink.end()?;
-    let mut warnings: Vec<String> = sink.trim.note().map(str::to_owned).into_iter().collect();
-    if tally.damaged > 0 {
-        let count = tally.damaged;
-        warnings.push(format!(
-            "damaged packets were skipped and replaced by silence, in {count} place(s)"
-        ));
-    }
-    if downmix.impossible > 0 {
-        let count = downmix.impossible;
-        warnings.push(format!(
-            "{count} samples with impossible values were replaced by silence"
-        ));
-    }
-    if tally.chained || packets.ending.chained {
-        warnings.push("only the first of several streams in the file is used".to_owned());
-    }
-    if !sink.is_done() {
-        warnings.extend(cut_short(packets, &sink));
-    }
-    sink.result(warnings)
-}
-
-/// A warning when a file holds less audio than it says.
-fn cut_short(packets: &Packets, sink: &Sink<'_>) -> Option<String> {
-    const NOTICEABLE_S: f64 = 0.1;
-    let held = sink.received as f64 / f64::from(sink.rate);
-    let declared = packets.track.frames.map(|frames| {
-        let rate = packets.track.parameters.sample_rate.unwrap_or(sink.rate);
-        frames as f64 / f64::from(rate.max(1))
-    });
-    match declared {
-        Some(declared) if declared > held + NOTICEABLE_S => Some(format!(
-            "the file is cut short or damaged: it says {declared:.1} s of audio and holds {held:.1} s"
-        )),
-        // A WAV written to a pipe states no length and simply ends.
-        None if packets.container == Container::Wav => None,
-        _ if packets.ending.cut_off || packets.ending.faults > 0 => Some(format!(
-            "the file is damaged or cut short after {held:.1} s of audio"
-        )),
-        _ => None,
-    }
-}
-
-/// Where decoded audio goes: cut, the wanted range, and on to the resamplers.
-struct Sink<'job> {
-    job: &'job Job<'job>,
-    trim: Trim,
-    rate: u32,
-    channels: usize,
-    /// Decoded frames, with the encoder's lead-in and padding.
-    received: u64,
-    window: Window,
-    outputs: Outputs,
-}
-
-/// The wanted part in frames of the upload.
-#[derive(Clone, Copy, Debug)]
-struct Window {
-    first: u64,
-    end: Option<u64>,
-    /// Audible frames seen, used or not.
-    position: u64,
-}
-
-impl Window {
-    /// The part of the next `length` frames that is wanted.
-    fn advance(&mut self, length: usize) -> std::ops::Range<usize> {
-        let within = |frame: u64| {
-            usize::try_from(frame.saturating_sub(self.position))
-                .map_or(length, |frames| frames.min(length))
-        };
-        let (first, end) = (within(self.first), self.end.map_or(length, within));
-        self.position += length as u64;
-        first.min(end)..end
-    }
-
-    /// Wanted frames seen so far.
-    fn used(&self) -> u64 {
-        let end = self.end.map_or(self.position, |end| end.min(self.position));
-        end.saturating_sub(self.first)
-    }
-}
-
-impl<'job> Sink<'job> {
-    /// Plans for the format that the first packet has.
-    fn new(trim: Trim, rate: u32, channels: usize, job: &'job Job<'job>) -> Self {
-        let frames = |seconds: f64| (seconds * f64::from(rate)).round() as u64;
-        let window = Window {
-            first: frames(job.range.offset_s),
-            end: job.range.duration_s.map(|_| frames(job.range.end_s())),
-            position: 0,
-        };
-        Self {
-            job,
-            trim,
-            rate,
-            channels,
-            received: 0,
-            window,
-            outputs: Outputs::new(rate, job.rates),
-        }
-    }
-
-    fn check_same_rate(&self, rate: u32, upload: &Upload) -> Result<(), AudioError> {
-        if rate == self.rate {
-            return Ok(());
-        }
-        Err(AudioError::Malformed {
-            container: upload.container,
-            reason: format!(
-                "its sample rate changes from {} to {rate} Hz midway",
-                self.rate
-            ),
-        })
-    }
-
-    /// Whether all that is wanted has been seen.
-    fn is_done(&self) -> bool {
-        self.window
-            .end
-            .is_some_and(|end| self.window.position >= end)
-    }
-
-    fn take(&mut self, mono: &[f32]) -> Result<(), AudioError> {
-        self.received += mono.len() as u64;
-        let decoded_s = self.received as f64 / f64::from(self.rate);
-        self.job.limits.check_length(decoded_s - SLACK_S)?;
-        let (window, outputs) = (&mut self.window, &mut self.outputs);
-        self.trim
-            .pass(mono, |heard| use_part(window, outputs, heard));
-        self.check_used_length()
-    }
-
-    /// Takes `seconds` of silence, in bounded pieces.
-    fn silence(&mut self, seconds: f64) -> Result<(), AudioError> {
-        const PIECE: [f32; 1024] = [0.0; 1024];
-        self.job.limits.check_length(seconds)?;
-        let mut frames = (seconds * f64::from(self.rate)).round() as usize;
-        while frames > 0 && !self.is_done() {
-            self.job.watch.check()?;
-            let piece = frames.min(PIECE.len());
-            self.take(&PIECE[..piece])?;
-            frames -= piece;
-        }
-        Ok(())
-    }
-
-    fn end(&mut self) -> Result<(), AudioError> {
-        let (window, outputs) = (&mut self.window, &mut self.outputs);
-        self.trim.finish(|heard| use_part(window, outputs, heard));
-        self.check_used_length()
-    }
-
-    /// The limit counts from the file's start, since what is skipped is decoded as well.
-    fn check_used_length(&self) -> Result<(), AudioError> {
-        let position = self.window.position;
-        let counted = self.window.end.map_or(position, |end| end.min(position));
-        let seconds = counted as f64 / f64::from(self.rate);
-        self.job.limits.check_length(seconds)
-    }
-
-    fn result(self, warnings: Vec<String>) -> Result<DecodedAudio, AudioError> {
-        let rate = f64::from(self.rate);
-        let duration_s = self.window.used() as f64 / rate;
-        if duration_s == 0.0 && self.job.range.offset_s > 0.0 {
-            return Err(AudioError::RangeOutside {
-                offset_s: self.job.range.offset_s,
-                length_s: self.window.position as f64 / rate,
-            });
-        }
-        if duration_s < self.job.limits.min_seconds {
+        let Some(mut sink) = self.sink.take() else {
+            if self.demuxer.state.cut_off {
+                return Err(AudioError::Malformed {
+                    container,
+                    reason: "it ends before its first audio".to_owned(),
+                });
+            }
             return Err(AudioError::TooShort {
-                seconds: duration_s,
-                min_seconds: self.job.limits.min_seconds,
+                seconds: 0.0,
+                min_seconds: self.request.limits.min_seconds,
             });
-        }
-        Ok(DecodedAudio {
-            signals: self.outputs.finish(),
-            duration_s,
-            sample_rate: self.rate,
-            channels: self.channels,
-            warnings,
-        })
+        };
+        sink.end()?;
+        let warnings = self.warnings(&sink);
+        sink.finish(warnings)
     }
-}
 
-/// Resamples the wanted part of what is heard.
-fn use_part(window: &mut Window, outputs: &mut Outputs, heard: &[f32]) {
-    outputs.push(&heard[window.advance(heard.len())]);
+    fn warnings(&self, sink: &Sink<'_>) -> Vec<String> {
+        let lost = (self.damaged > 0).then(|| {
+            format!(
+                "damaged packets were skipped and replaced by silence, in {} place(s)",
+                self.damaged
+            )
+        });
+        let cut = self.cut_from_s.map(|seconds| {
+            format!("the file is cut from a longer recording: {seconds:.1} s before it are missing")
+        });
+        let impossible = (self.downmix.impossible > 0).then(|| {
+            format!(
+                "{} samples with impossible values were replaced by silence",
+                self.downmix.impossible
+            )
+        });
+        let chained = self
+            .demuxer
+            .state
+            .chained
+            .then(|| "only the first of several streams in the file is used".to_owned());
+        let short = if sink.is_done() {
+            None
+        } else {
+            self.cut_short(sink)
+        };
+        [sink.note(), lost, cut, impossible, chained, short]
+            .into_iter()
+            .flatten()
+            .collect()
+    }
+
+    /// Returns a warning when the file holds less audio than it declares.
+    fn cut_short(&self, sink: &Sink<'_>) -> Option<String> {
+        const NOTICEABLE_S: f64 = 0.1;
+        let held = sink.received_s();
+        let track = &self.demuxer.track;
+        let declared = track.frames.map(|frames| {
+            let rate = track.parameters.sample_rate.unwrap_or(sink.rate);
+            frames as f64 / f64::from(rate.max(1)) - self.cut_from_s.unwrap_or_default()
+        });
+        match declared {
+            Some(declared) if declared > held + NOTICEABLE_S => Some(format!(
+                "the file is cut short or damaged: it says {declared:.1} s of audio and holds \
+                 {held:.1} s"
+            )),
+            // A WAV written to a pipe declares no length and simply ends.
+            None if self.upload.container == Container::Wav => None,
+            _ if self.demuxer.state.cut_off || self.demuxer.state.faults > 0 => Some(format!(
+                "the file is damaged or cut short after {held:.1} s of audio"
+            )),
+            _ => None,
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use bailando_core::CancelToken;
 
     #[test]
-    fn silence_is_given_up_when_the_caller_is_gone() {
-        let limits = AudioLimits::default();
-        let cancel = CancelToken::new();
-        let watch = Watch::start(&limits, &cancel);
-        let job = Job {
-            range: AudioRange::default(),
-            rates: &[3_840],
-            limits: &limits,
-            watch: &watch,
-        };
-        let mut sink = Sink::new(Trim::default(), 8_000, 1, &job);
-        assert!(sink.silence(2.0).is_ok());
-        assert_eq!(sink.received, 16_000);
-        cancel.cancel();
-        assert!(matches!(sink.silence(60.0), Err(AudioError::Cancelled)));
-        assert_eq!(sink.received, 16_000);
+    fn a_panic_is_an_error_of_this_call_alone() {
+        let broken: Result<(), _> = contained(|| panic!("index {} out of bounds", 3));
+        assert!(matches!(
+            broken,
+            Err(AudioError::DecoderPanic { message }) if message == "index 3 out of bounds"
+        ));
+        assert!(matches!(contained(|| Ok(7)), Ok(7)));
     }
 }

@@ -1,10 +1,10 @@
-//! What can be wrong with an upload.
+//! The error of this crate.
 
-use std::time::Duration;
+use std::{io, time::Duration};
 
-use super::sniff::{ACCEPTED, Container};
+use crate::container::{ACCEPTED, Container};
 
-/// What can be wrong with an upload. Messages say what was wrong and what is accepted.
+/// A fault of an upload. Messages say what was wrong and what is accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum AudioError {
     /// The caller no longer wants the result.
@@ -16,7 +16,7 @@ pub enum AudioError {
     /// The bytes are not one of the accepted containers.
     #[error("this is not an accepted audio file: it looks like {found}; accepted are {ACCEPTED}")]
     UnsupportedContainer {
-        /// What the bytes look like, in words.
+        /// Kind of the bytes, in words.
         found: &'static str,
     },
     /// The container is accepted, the codec inside it is not.
@@ -24,7 +24,7 @@ pub enum AudioError {
     UnsupportedCodec {
         /// The container the bytes are in.
         container: Container,
-        /// What is inside it, in words.
+        /// Its content, in words.
         codec: String,
     },
     /// The container is accepted, but its content cannot be decoded.
@@ -32,7 +32,7 @@ pub enum AudioError {
     Malformed {
         /// The container the bytes are in.
         container: Container,
-        /// What failed.
+        /// The cause in words.
         reason: String,
     },
     /// Less audio than the shortest accepted.
@@ -78,7 +78,7 @@ pub enum AudioError {
         /// The wall time allowed.
         limit: Duration,
     },
-    /// The wanted part starts at or behind the end of the audio.
+    /// The wanted part starts at or after the end of the audio.
     #[error("the offset of {offset_s} s lies outside the audio, which is {length_s:.3} s long")]
     RangeOutside {
         /// The wanted start in seconds.
@@ -98,16 +98,19 @@ pub enum AudioError {
         /// The wanted length in seconds, if any.
         duration_s: Option<f64>,
     },
-    /// A rate that cannot be resampled to was asked for (a caller's mistake, not the upload's).
+    /// A rate that cannot be resampled to was asked for (the caller's mistake, not the upload's).
     #[error("audio cannot be resampled to {hz} Hz")]
     OutputRate {
         /// The rate asked for.
         hz: u32,
     },
-    /// The decoder failed in a way that it should not; only this upload is affected.
+    /// The system did not start another thread for a resampler: the upload is not to blame.
+    #[error("no thread could be started to resample the audio: {0}")]
+    NoThread(#[source] io::Error),
+    /// The decoder panicked; only this upload is affected.
     #[error("the audio made the decoder fail and cannot be used")]
     DecoderPanic {
-        /// What the decoder said.
+        /// Text of the panic.
         message: String,
     },
 }

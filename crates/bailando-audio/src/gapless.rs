@@ -1,37 +1,33 @@
-//! Takes the encoder's lead-in and padding off a decoded stream (FEATURES section 1: a decoder
-//! that does not is about 25 ms late).
+//! Takes the encoder's lead-in and padding off a decoded stream (FEATURES section 1: otherwise it
+//! would be about 25 ms late).
 //!
 //! Ogg: the demuxer and decoder do it from the page positions. MP3: delay and padding of the LAME
 //! tag; the padding is taken off only when the stream is as long as its header says, so that files
 //! joined from several or cut short lose nothing. M4A: the edit list or iTunes' tag. WAV and FLAC
 //! have none.
 
-use super::{
-    mp4,
-    sniff::{Container, Upload},
-    source::TrackInfo,
-};
+use crate::{container::Container, demux::TrackInfo, mp4, sniff::Upload};
 
 /// Streaming cut of the ends of a mono signal.
 #[derive(Debug, Default)]
-pub(super) struct Trim {
+pub(crate) struct Trim {
     /// Frames still to be dropped in front.
     skip: u64,
     /// Frames still to be let through, if that is known from the start.
     keep: Option<u64>,
-    /// Length of the padding, which is held back until it is known whether it is one.
+    /// Frames of padding: the last ones are held back until the end.
     padding: usize,
-    /// Frames that must have come in for the padding to be one.
+    /// Length of the whole stream with which the last frames are padding.
     padded_length: Option<u64>,
     held: Vec<f32>,
     received: u64,
-    /// What is done, in words for the warnings.
+    /// A warning about the cut.
     note: Option<String>,
 }
 
 impl Trim {
     /// Plans the cut for a stream whose decoder delivers `rate` frames a second.
-    pub(super) fn plan(upload: &Upload, track: &TrackInfo, rate: u32) -> Self {
+    pub(crate) fn plan(upload: &Upload, track: &TrackInfo, rate: u32) -> Self {
         match upload.container {
             Container::Mp3 => Self::of_mp3(track),
             Container::M4a => Self::of_m4a(upload, track, rate),
@@ -94,13 +90,13 @@ impl Trim {
         }
     }
 
-    /// What the caller should know about the cut.
-    pub(super) fn note(&self) -> Option<&str> {
+    /// Returns a warning about the cut.
+    pub(crate) fn note(&self) -> Option<&str> {
         self.note.as_deref()
     }
 
-    /// Passes what is to be heard of `signal` on to `sink`, in one or two pieces.
-    pub(super) fn pass(&mut self, signal: &[f32], mut sink: impl FnMut(&[f32])) {
+    /// Passes the audible part of `signal` on to `sink`, in one or two pieces.
+    pub(crate) fn pass(&mut self, signal: &[f32], mut sink: impl FnMut(&[f32])) {
         self.received += signal.len() as u64;
         let skipped =
             usize::try_from(self.skip).map_or(signal.len(), |skip| skip.min(signal.len()));
@@ -115,7 +111,7 @@ impl Trim {
             sink(rest);
             return;
         }
-        // All but the last `padding` of what is held and new together is certain to be heard.
+        // Only the last `padding` frames of the held and the new ones together may be padding.
         let certain = (self.held.len() + rest.len()).saturating_sub(self.padding);
         let old = certain.min(self.held.len());
         sink(&self.held[..old]);
@@ -124,8 +120,8 @@ impl Trim {
         self.held.extend_from_slice(&rest[certain - old..]);
     }
 
-    /// Passes on what was held back, unless it is padding.
-    pub(super) fn finish(&mut self, sink: impl FnOnce(&[f32])) {
+    /// Passes on the frames held back, unless they are padding.
+    pub(crate) fn finish(&mut self, sink: impl FnOnce(&[f32])) {
         let is_padding = self
             .padded_length
             .is_none_or(|length| length == self.received);
@@ -141,13 +137,13 @@ mod tests {
     use super::*;
 
     fn run(mut trim: Trim, pieces: &[std::ops::Range<u16>]) -> Vec<f32> {
-        let mut heard = Vec::new();
+        let mut audible = Vec::new();
         for piece in pieces {
             let signal: Vec<f32> = piece.clone().map(f32::from).collect();
-            trim.pass(&signal, |part| heard.extend_from_slice(part));
+            trim.pass(&signal, |part| audible.extend_from_slice(part));
         }
-        trim.finish(|part| heard.extend_from_slice(part));
-        heard
+        trim.finish(|part| audible.extend_from_slice(part));
+        audible
     }
 
     fn counting(range: std::ops::Range<u16>) -> Vec<f32> {

@@ -13,16 +13,16 @@ const CUTOFF: f64 = 0.95685;
 /// from 0.7 to 0.9 of the Nyquist frequency. This share of a low-pass with a wide transition around
 /// 0.8 has that droop. A fit to either golden file gives the same share to half a percent.
 const DROOP: f64 = 6.12e-4;
-/// That low-pass: cut-off, half width and Kaiser beta.
+/// Cut-off, half width and Kaiser beta of that low-pass.
 const DROOPING: (f64, f64, f64) = (0.8, 12.0, 5.0);
 /// Largest exact table in coefficients (4 MiB); above it phases are interpolated.
-pub(super) const MAX_TABLE: usize = 1 << 20;
+pub(crate) const MAX_TABLE: usize = 1 << 20;
 
 /// Ratio of the rates below which soxr's filter is the longer one.
 const STRONG_DECIMATION: f64 = 0.25;
 
-/// Half width (in samples of the lower rate) and Kaiser beta for a ratio `to / from`; both pairs
-/// are FEATURES section 1's, the longer one for strong decimation.
+/// Returns half width (in samples of the lower rate) and Kaiser beta for a ratio `to / from`
+/// (FEATURES section 1).
 fn window_of(ratio: f64) -> (f64, f64) {
     if ratio < STRONG_DECIMATION {
         (116.5, 16.76)
@@ -31,12 +31,12 @@ fn window_of(ratio: f64) -> (f64, f64) {
     }
 }
 
-/// The kernel of a reduced ratio. The last few are kept: planning takes as long as converting
-/// several seconds of music, and nearly all uploads share two or three rates.
-pub(super) fn planned_kernel(from: u64, to: u64) -> Arc<Kernel> {
+/// Returns the kernel of a reduced ratio. The last few are kept: planning takes as long as
+/// converting several seconds of music, and nearly all uploads share two or three rates.
+pub(crate) fn planned_kernel(from: u64, to: u64) -> Arc<Kernel> {
     const KEPT: usize = 8;
     static PLANNED: Mutex<Vec<(u64, u64, Arc<Kernel>)>> = Mutex::new(Vec::new());
-    // The list is whole between any two statements, so a poisoned lock is as good as another.
+    // The list is whole between any two statements, so a poisoned lock does no harm.
     let lock = || PLANNED.lock().unwrap_or_else(PoisonError::into_inner);
     let known = lock()
         .iter()
@@ -55,8 +55,8 @@ pub(super) fn planned_kernel(from: u64, to: u64) -> Arc<Kernel> {
 
 /// The filter's coefficients, one row per fractional position of an output between two inputs.
 #[derive(Debug)]
-pub(super) struct Kernel {
-    /// Inputs looked at on each side; a row has twice as many taps.
+pub(crate) struct Kernel {
+    /// Inputs used on each side; a row has twice as many taps.
     reach: usize,
     rows: Vec<f32>,
     phases: u64,
@@ -65,7 +65,7 @@ pub(super) struct Kernel {
 }
 
 impl Kernel {
-    pub(super) fn new(from: u64, to: u64) -> Self {
+    pub(crate) fn new(from: u64, to: u64) -> Self {
         let ratio = to as f64 / from as f64;
         let shape = Shape::new(ratio);
         let reach = (shape.half / shape.scale).ceil() as usize;
@@ -100,23 +100,23 @@ impl Kernel {
         }
     }
 
-    /// Inputs looked at on each side of an output.
-    pub(super) fn reach(&self) -> usize {
+    /// Inputs used on each side of an output.
+    pub(crate) fn reach(&self) -> usize {
         self.reach
     }
 
     #[cfg(test)]
-    pub(super) fn coefficients(&self) -> usize {
+    pub(crate) fn coefficients(&self) -> usize {
         self.rows.len()
     }
 
-    pub(super) fn taps(&self) -> usize {
+    pub(crate) fn taps(&self) -> usize {
         2 * self.reach
     }
 
-    /// One output: `window` holds the inputs around it, `phase / phases` is its distance behind
-    /// the window's middle input.
-    pub(super) fn apply(&self, phase: u64, window: &[f32]) -> f32 {
+    /// Returns one output: `window` holds the inputs around it, `phase / phases` is its distance
+    /// after the window's middle input.
+    pub(crate) fn apply(&self, phase: u64, window: &[f32]) -> f32 {
         let taps = self.taps();
         let row = |index: usize| &self.rows[index * taps..(index + 1) * taps];
         if self.interpolated == 0 {
@@ -130,7 +130,7 @@ impl Kernel {
 }
 
 /// The continuous impulse response.
-pub(super) struct Shape {
+pub(crate) struct Shape {
     /// Samples of the lower rate per input sample.
     scale: f64,
     half: f64,
@@ -139,7 +139,7 @@ pub(super) struct Shape {
 }
 
 impl Shape {
-    pub(super) fn new(ratio: f64) -> Self {
+    pub(crate) fn new(ratio: f64) -> Self {
         let (half, beta) = window_of(ratio);
         let drooping = (ratio < STRONG_DECIMATION).then(|| {
             let (cutoff, half, beta) = DROOPING;
@@ -153,8 +153,8 @@ impl Shape {
         }
     }
 
-    /// The response times the gain, `distance` in input samples.
-    pub(super) fn at(&self, distance: f64) -> f64 {
+    /// Returns the response times the gain, `distance` in input samples.
+    pub(crate) fn at(&self, distance: f64) -> f64 {
         let u = distance * self.scale;
         let steep = self.steep.at(u);
         let response = match &self.drooping {

@@ -1,27 +1,27 @@
-//! How much of an M4A's decoded audio is the encoder's own lead-in and padding. Symphonia does not
-//! apply edit lists, so the few boxes that say so are read here: a bounded walk over the box tree,
-//! no allocation, nothing trusted.
+//! Lead-in and padding of an M4A's decoded audio. Symphonia does not apply edit lists, so the few
+//! boxes that matter are read here: a bounded walk over the box tree (ISO 14496-12), no allocation,
+//! nothing trusted.
 
-/// Boxes looked at among the children of one box.
+/// Most children of one box that are read.
 const MAX_CHILDREN: usize = 1024;
 
-/// The audible part of an audio track, each in units of its own.
+/// The audible part of an audio track.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Audible {
-    /// Seconds of lead-in that are not to be heard.
-    pub(super) start_s: f64,
-    /// Seconds to be heard behind it; absent: to the end.
-    pub(super) length_s: Option<f64>,
+pub(crate) struct Audible {
+    /// Seconds of lead-in to cut off.
+    pub(crate) start_s: f64,
+    /// Seconds to keep after it; absent: to the end.
+    pub(crate) length_s: Option<f64>,
 }
 
-/// The audible part of the track `track_id`, from iTunes' own tag or else from the edit list.
+/// Returns the audible part of the track `track_id`, from iTunes' tag or else from the edit list.
 /// `rate` is the track's sample rate in Hz. `None`: the file does not say.
-pub(super) fn audible(file: &[u8], track_id: u32, rate: u32) -> Option<Audible> {
+pub(crate) fn audible(file: &[u8], track_id: u32, rate: u32) -> Option<Audible> {
     let movie = child(file, b"moov")?;
     itunes_gapless(movie, rate).or_else(|| edit_list(movie, track_id))
 }
 
-/// Children of a box as (type, payload); stops at the first one that does not fit.
+/// Iterates over the children of a box as (type, payload) until one does not fit.
 fn children(mut bytes: &[u8]) -> impl Iterator<Item = ([u8; 4], &[u8])> {
     std::iter::from_fn(move || {
         let size = u32_be(bytes, 0)?;
@@ -68,7 +68,7 @@ fn itunes_gapless(movie: &[u8], rate: u32) -> Option<Audible> {
     })
 }
 
-/// The first edit that shows media. With several such edits only the lead-in is applied.
+/// Returns the first edit that shows media. With several such edits only the lead-in is applied.
 fn edit_list(movie: &[u8], track_id: u32) -> Option<Audible> {
     let movie_scale = timescale(child(movie, b"mvhd")?)?;
     let track = children(movie)
@@ -100,13 +100,13 @@ fn edit_list(movie: &[u8], track_id: u32) -> Option<Audible> {
     })
 }
 
-/// Ticks a second of a `mvhd` or `mdhd` box.
+/// Returns the ticks a second of a `mvhd` or `mdhd` box.
 fn timescale(header: &[u8]) -> Option<f64> {
     let scale = u32_be(header, if *header.first()? == 1 { 20 } else { 12 })?;
     (scale > 0).then_some(f64::from(scale))
 }
 
-/// The track's id in a `tkhd` box.
+/// Returns the track's id in a `tkhd` box.
 fn track_number(header: &[u8]) -> Option<u32> {
     u32_be(header, if *header.first()? == 1 { 20 } else { 12 })
 }

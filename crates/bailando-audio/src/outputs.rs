@@ -1,87 +1,96 @@
-//! Resampling beside the decoder: a thread for every rate that is asked for.
+//! Resampling beside the decoder: a thread for every rate.
 
 use std::{
-    panic,
+    io, mem, panic,
     sync::{
         Arc,
         mpsc::{SyncSender, sync_channel},
     },
-    thread::{self, JoinHandle},
+    thread::{Builder, JoinHandle},
 };
 
-use super::Resampler;
+use crate::resample::Resampler;
 
-/// Samples that are handed over at once, about a second: long beside waking a thread.
+/// Samples in a block, about a second: long compared with waking a thread.
 const BLOCK: usize = 1 << 15;
-/// Blocks that may wait for a resampler; then the decoder does.
+/// Blocks that may wait for a resampler before the decoder has to wait.
 const WAITING: usize = 2;
 
-/// Takes a mono signal in pieces, and gives it at each rate.
+/// Resamples a mono signal, which comes in pieces, to several rates.
 #[derive(Debug)]
-pub(super) struct Outputs {
+pub(crate) struct Outputs {
     block: Vec<f32>,
-    resampling: Vec<Resampling>,
+    workers: Vec<Worker>,
 }
 
 /// A resampler on its thread, which ends with the blocks.
 #[derive(Debug)]
-struct Resampling {
-    blocks: SyncSender<Arc<[f32]>>,
+struct Worker {
+    blocks: SyncSender<Arc<Vec<f32>>>,
     thread: JoinHandle<Vec<f32>>,
 }
 
 impl Outputs {
-    /// Plans the conversion from a rate to each of others, in Hz.
-    pub(super) fn new(from_hz: u32, to_hz: &[u32]) -> Self {
-        let resampling = to_hz.iter().map(|&to| {
-            let (blocks, received) = sync_channel::<Arc<[f32]>>(WAITING);
-            let thread = thread::spawn(move || {
+    /// Plans the conversion from one rate to several, in Hz.
+    ///
+    /// # Errors
+    /// The system's, when it starts no thread.
+    pub(crate) fn new(from_hz: u32, to_hz: &[u32]) -> io::Result<Self> {
+        Self::with_threads(from_hz, to_hz, Builder::new)
+    }
+
+    fn with_threads(from_hz: u32, to_hz: &[u32], builder: fn() -> Builder) -> io::Result<Self> {
+        let start = |&to| {
+            let (blocks, received) = sync_channel::<Arc<Vec<f32>>>(WAITING);
+            let thread = builder().spawn(move || {
                 let (mut resampler, mut signal) = (Resampler::new(from_hz, to), Vec::new());
                 for block in received {
                     resampler.process(&block, &mut signal);
                 }
                 resampler.finish(&mut signal);
                 signal
-            });
-            Resampling { blocks, thread }
-        });
-        Self {
+            })?;
+            Ok(Worker { blocks, thread })
+        };
+        Ok(Self {
             block: Vec::with_capacity(BLOCK),
-            resampling: resampling.collect(),
-        }
+            workers: to_hz.iter().map(start).collect::<io::Result<_>>()?,
+        })
     }
 
     /// Takes the next samples.
-    pub(super) fn push(&mut self, mut samples: &[f32]) {
+    pub(crate) fn push(&mut self, mut samples: &[f32]) {
         while !samples.is_empty() {
             let room = (BLOCK - self.block.len()).min(samples.len());
             let (first, rest) = samples.split_at(room);
             self.block.extend_from_slice(first);
             samples = rest;
             if self.block.len() == BLOCK {
-                self.hand_over();
+                self.send_block(Vec::with_capacity(BLOCK));
             }
         }
     }
 
-    fn hand_over(&mut self) {
-        let block: Arc<[f32]> = self.block.as_slice().into();
-        self.block.clear();
-        for resampling in &self.resampling {
-            // It fails only where the thread panicked, which `finish` tells.
-            let _ = resampling.blocks.send(Arc::clone(&block));
+    fn send_block(&mut self, next: Vec<f32>) {
+        let block = Arc::new(mem::replace(&mut self.block, next));
+        for worker in &self.workers {
+            // Sending fails only after a panic of the thread, which `finish` passes on.
+            let _ = worker.blocks.send(Arc::clone(&block));
         }
     }
 
-    /// Ends the signal; one for every rate, in their order.
+    /// Ends the signal and returns one per rate, in their order.
     ///
     /// # Panics
     /// With the panic of a resampler.
-    pub(super) fn finish(mut self) -> Vec<Vec<f32>> {
-        self.hand_over();
-        // All are told that nothing follows before one is waited for.
-        let resampling = self.resampling.into_iter();
-        let threads: Vec<_> = resampling.map(|resampling| resampling.thread).collect();
+    pub(crate) fn finish(mut self) -> Vec<Vec<f32>> {
+        self.send_block(Vec::new());
+        // All channels are closed before the first thread is joined.
+        let threads: Vec<_> = self
+            .workers
+            .into_iter()
+            .map(|worker| worker.thread)
+            .collect();
         let signals = threads.into_iter().map(JoinHandle::join);
         signals
             .map(|signal| signal.unwrap_or_else(|panicked| panic::resume_unwind(panicked)))
@@ -90,9 +99,10 @@ impl Outputs {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests stop where something is wrong")]
 mod tests {
     use super::*;
-    use crate::resample;
+    use crate::resample::resample;
 
     #[test]
     fn every_rate_is_what_resampling_the_whole_gives() {
@@ -100,12 +110,17 @@ mod tests {
             .map(|i| (i as f32 * 0.01).sin())
             .collect();
         for piece in [1_152, BLOCK, 5 * BLOCK] {
-            let mut outputs = Outputs::new(44_100, &[3_840, 44_100, 30_720]);
+            let mut outputs = Outputs::new(44_100, &[3_840, 44_100, 30_720]).unwrap();
             signal.chunks(piece).for_each(|part| outputs.push(part));
             let wanted = [3_840, 44_100, 30_720].map(|to| resample(&signal, 44_100, to));
             assert_eq!(outputs.finish(), wanted, "pieces of {piece}");
         }
-        let nothing = Outputs::new(8_000, &[3_840]).finish();
+        let nothing = Outputs::new(8_000, &[3_840]).unwrap().finish();
         assert_eq!(nothing, [Vec::<f32>::new()]);
+    }
+    #[test]
+    fn a_system_without_threads_is_an_error() {
+        let builder = || Builder::new().stack_size(1 << 60);
+        assert!(Outputs::with_threads(44_100, &[3_840], builder).is_err());
     }
 }

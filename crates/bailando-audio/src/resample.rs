@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::kernel::{Kernel, planned_kernel};
+use crate::kernel::{Kernel, planned_kernel};
 
 /// Streaming converter of one mono signal from one integer rate to another.
 ///
@@ -46,7 +46,7 @@ impl Resampler {
             produced: 0,
         };
         if let Some(kernel) = &planned.kernel {
-            // The zeros in front of the signal that the first outputs look at.
+            // Zeros in front of the signal, which the first outputs use.
             planned.history = vec![0.0; kernel.reach() - 1];
             planned.base = 1 - signed(kernel.reach());
         }
@@ -120,10 +120,8 @@ fn signed(length: usize) -> i64 {
 mod tests {
     use std::f64::consts::PI;
 
-    use super::{
-        super::kernel::{MAX_TABLE, Shape},
-        *,
-    };
+    use super::*;
+    use crate::kernel::{MAX_TABLE, Shape};
 
     fn noise(n: usize) -> Vec<f32> {
         let mut state = 1_u32;
@@ -188,9 +186,9 @@ mod tests {
         let mut resampler = Resampler::new(44_100, 30_720);
         let (mut pieces, mut rest, mut size) = (Vec::new(), signal.as_slice(), 0);
         while !rest.is_empty() {
-            let (piece, behind) = rest.split_at(size.min(rest.len()));
+            let (piece, next) = rest.split_at(size.min(rest.len()));
             resampler.process(piece, &mut pieces);
-            rest = behind;
+            rest = next;
             size = (size * 3 + 1) % 2_000;
         }
         resampler.finish(&mut pieces);

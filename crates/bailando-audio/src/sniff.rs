@@ -1,93 +1,65 @@
-//! Tells the container from the bytes, never from a name: an allow-list, with a clear word about
-//! the things that people upload by mistake (RELIABILITY, defence 3).
-
-use std::fmt;
+//! Detects the container from the bytes, never from a name: an allow-list, with a clear word about
+//! the files that people upload by mistake (RELIABILITY, defence 3).
 
 use bytes::Bytes;
 
-use super::AudioError;
-
-/// What is accepted, in words for messages.
-pub(super) const ACCEPTED: &str = "WAV, FLAC, MP3, Ogg Vorbis and M4A (AAC-LC)";
-
-/// An accepted container.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Container {
-    /// RIFF/WAVE with PCM samples.
-    Wav,
-    /// Native FLAC.
-    Flac,
-    /// MPEG audio layer III, with or without ID3 tags.
-    Mp3,
-    /// Ogg with Vorbis.
-    Ogg,
-    /// ISO base media (MP4) with AAC.
-    M4a,
-}
-
-impl Container {
-    /// Every accepted container.
-    pub const ALL: [Self; 5] = [Self::Wav, Self::Flac, Self::Mp3, Self::Ogg, Self::M4a];
-
-    /// Name for programs, with the codec where the container may hold others.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Wav => "wav",
-            Self::Flac => "flac",
-            Self::Mp3 => "mp3",
-            Self::Ogg => "ogg/vorbis",
-            Self::M4a => "m4a/aac",
-        }
-    }
-}
-
-impl fmt::Display for Container {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Wav => "WAV",
-            Self::Flac => "FLAC",
-            Self::Mp3 => "MP3",
-            Self::Ogg => "Ogg",
-            Self::M4a => "M4A",
-        })
-    }
-}
+use crate::{container::Container, error::AudioError, id3, mpeg, ogg};
 
 /// An upload whose container is known.
 #[derive(Clone, Debug)]
-pub(super) struct Upload {
-    pub(super) container: Container,
-    /// The container's own bytes: ID3 tags in front and behind are cut off unread, so that no tag
-    /// or picture is ever parsed.
-    pub(super) bytes: Bytes,
+pub(crate) struct Upload {
+    pub(crate) container: Container,
+    /// The container's own bytes, without ID3 tags in front and after the audio.
+    pub(crate) bytes: Bytes,
 }
 
-/// Finds the container of `bytes`.
-pub(super) fn sniff(bytes: &Bytes) -> Result<Upload, AudioError> {
+/// Returns whether a file that starts with `prefix` is WAV or FLAC, which are large by nature;
+/// ID3v2 tags in front are stepped over. `None`: more bytes are needed.
+///
+/// ```
+/// use bailando_audio::is_lossless;
+///
+/// assert_eq!(is_lossless(b"fLa"), None);
+/// assert_eq!(is_lossless(b"fLaC\0\0\0\x22\0\0\0\0"), Some(true));
+/// assert_eq!(is_lossless(b"OggS\0\x02\0\0\0\0\0\0"), Some(false));
+/// ```
+#[must_use]
+pub fn is_lossless(prefix: &[u8]) -> Option<bool> {
+    const MAGIC: usize = 12;
+    let body = prefix.get(id3::v2_end(prefix)..)?;
+    (body.len() >= MAGIC).then(|| is_wav(body) || is_flac(body))
+}
+
+fn is_wav(body: &[u8]) -> bool {
+    body.starts_with(b"RIFF") && body.get(8..12) == Some(b"WAVE")
+}
+
+fn is_flac(body: &[u8]) -> bool {
+    body.starts_with(b"fLaC")
+}
+
+/// Detects the container of `bytes`.
+pub(crate) fn sniff(bytes: &Bytes) -> Result<Upload, AudioError> {
     if bytes.is_empty() {
         return Err(AudioError::Empty);
     }
-    let start = id3v2_end(bytes);
-    let body = bytes.slice(start..);
+    let start = id3::v2_end(bytes).min(bytes.len());
+    let mut body = bytes.slice(start..);
     let tagged = start > 0;
-    let container = if body.starts_with(b"RIFF") && body.get(8..12) == Some(b"WAVE") {
+    let container = if is_wav(&body) {
         Container::Wav
-    } else if body.starts_with(b"fLaC") {
+    } else if is_flac(&body) {
         Container::Flac
     } else if body.starts_with(b"OggS") {
-        ogg_codec(&body)?;
+        ogg::check_codec(&body)?;
         Container::Ogg
     } else if body.get(4..8) == Some(b"ftyp") {
         Container::M4a
     } else if let Some(found) = known_but_refused(&body) {
         return Err(AudioError::UnsupportedContainer { found });
-    } else if is_mp3(&body, tagged) {
-        return Ok(Upload {
-            container: Container::Mp3,
-            bytes: body.slice(..id3v1_start(&body)),
-        });
+    } else if mpeg::starts_stream(&body, tagged) {
+        body.truncate(id3::v1_start(&body));
+        Container::Mp3
     } else {
         let found = describe_unknown(&body, tagged);
         return Err(AudioError::UnsupportedContainer { found });
@@ -98,61 +70,7 @@ pub(super) fn sniff(bytes: &Bytes) -> Result<Upload, AudioError> {
     })
 }
 
-/// End of all ID3v2 tags at the start, at most the length of `bytes`.
-fn id3v2_end(bytes: &[u8]) -> usize {
-    const HEADER: usize = 10;
-    let mut at = 0;
-    while let Some(header) = bytes.get(at..at + HEADER) {
-        if !header.starts_with(b"ID3") || header[6..].iter().any(|&byte| byte & 0x80 != 0) {
-            break;
-        }
-        // The size is written with 7 bits a byte, without the header and without the footer.
-        let size = header[6..]
-            .iter()
-            .fold(0_usize, |size, &byte| (size << 7) | usize::from(byte));
-        let footer = if header[5] & 0x10 != 0 { HEADER } else { 0 };
-        at = (at + HEADER + size + footer).min(bytes.len());
-    }
-    at
-}
-
-/// Where an ID3v1 tag at the end starts, else the length of `bytes`.
-fn id3v1_start(bytes: &[u8]) -> usize {
-    const TAG: usize = 128;
-    match bytes.len().checked_sub(TAG) {
-        Some(start) if bytes[start..].starts_with(b"TAG") => start,
-        _ => bytes.len(),
-    }
-}
-
-/// Refuses Ogg streams whose first packet is not Vorbis' identification header.
-fn ogg_codec(bytes: &[u8]) -> Result<(), AudioError> {
-    const SEGMENT_COUNT: usize = 26;
-    let packet = bytes
-        .get(SEGMENT_COUNT)
-        .and_then(|&segments| bytes.get(SEGMENT_COUNT + 1 + usize::from(segments)..))
-        .unwrap_or_default();
-    let codec = match packet {
-        p if p.starts_with(b"\x01vorbis") => return Ok(()),
-        p if p.starts_with(b"OpusHead") => "Opus",
-        p if p.starts_with(b"\x7fFLAC") => "FLAC (send it as a native .flac file)",
-        p if p.starts_with(b"Speex") => "Speex",
-        p if p.starts_with(b"\x80theora") => "Theora video",
-        p if p.len() < b"OpusHead".len() => {
-            return Err(AudioError::Malformed {
-                container: Container::Ogg,
-                reason: "it ends inside its first page".to_owned(),
-            });
-        }
-        _ => "an unknown codec",
-    };
-    Err(AudioError::UnsupportedCodec {
-        container: Container::Ogg,
-        codec: codec.to_owned(),
-    })
-}
-
-/// Words for what is recognised and refused.
+/// Names files that are recognised and refused.
 fn known_but_refused(bytes: &[u8]) -> Option<&'static str> {
     const MAGIC: [(&[u8], &str); 29] = [
         (b"PK\x03\x04", "a ZIP archive"),
@@ -191,58 +109,13 @@ fn known_but_refused(bytes: &[u8]) -> Option<&'static str> {
         .map(|&(_, found)| found)
 }
 
-/// The length in bytes of the layer III frame whose header starts `bytes`.
-fn mp3_frame_length(bytes: &[u8]) -> Option<usize> {
-    const KBITS_V1: [usize; 14] = [
-        32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 192, 224, 256, 320,
-    ];
-    const KBITS_V2: [usize; 14] = [8, 16, 24, 32, 40, 48, 56, 64, 80, 96, 112, 128, 144, 160];
-    let &[sync, version, rates, _] = bytes.first_chunk()?;
-    if sync != 0xff || version & 0xe0 != 0xe0 || (version >> 1) & 3 != 1 {
-        return None;
-    }
-    let (rate_shift, kbits, slots) = match (version >> 3) & 3 {
-        3 => (0, KBITS_V1, 144_000),
-        2 => (1, KBITS_V2, 72_000),
-        0 => (2, KBITS_V2, 72_000),
-        _ => return None,
-    };
-    // Index 0 is "free format", which the decoder does not know either; 15 is forbidden.
-    let kbit = kbits.get(usize::from(rates >> 4).checked_sub(1)?)?;
-    let rate = [44_100, 48_000, 32_000].get(usize::from((rates >> 2) & 3))? >> rate_shift;
-    Some(slots * kbit / rate + usize::from((rates >> 1) & 1))
-}
-
-/// Whether an MPEG layer III stream starts here. Behind a tag some padding is accepted.
-fn is_mp3(bytes: &[u8], tagged: bool) -> bool {
-    const SEARCHED_BEHIND_TAG: usize = 64 * 1024;
-    const SEARCHED: usize = 4 * 1024;
-    let searched = if tagged {
-        SEARCHED_BEHIND_TAG
-    } else {
-        SEARCHED
-    };
-    let window = &bytes[..searched.min(bytes.len())];
-    (0..window.len()).any(|at| {
-        if window[at] != 0xff {
-            return false;
-        }
-        let rest = &bytes[at..];
-        mp3_frame_length(rest).is_some_and(|length| match rest.get(length..) {
-            // Two headers in a row, or (for a stream of one frame) nothing more to compare with.
-            Some(next) if next.len() >= 4 => mp3_frame_length(next).is_some(),
-            _ => at == 0 || tagged,
-        })
-    })
-}
-
-/// Words for bytes that no rule knows.
+/// Describes bytes that no rule knows.
 fn describe_unknown(bytes: &[u8], tagged: bool) -> &'static str {
     const LOOKED_AT: usize = 512;
     let head = &bytes[..LOOKED_AT.min(bytes.len())];
     let sync = head.len() > 1 && head[0] == 0xff;
     if tagged {
-        "an ID3 tag without MP3 audio behind it"
+        "an ID3 tag without MP3 audio after it"
     } else if head.get(4..8).is_some_and(|kind| {
         [b"moov", b"mdat", b"wide", b"free"]
             .iter()
@@ -270,6 +143,23 @@ fn describe_unknown(bytes: &[u8], tagged: bool) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::container::ACCEPTED;
+
+    #[test]
+    fn lossless_files_are_known_by_their_first_bytes_even_after_a_tag() {
+        for body in [b"RIFF\x01\x02\x03\x04WAVE", b"fLaC\0\0\0\x22\0\0\0\0"] {
+            let tagged = [b"ID3\x04\0\0\0\0\0\x02xx".as_slice(), body].concat();
+            assert_eq!(is_lossless(body), Some(true));
+            assert_eq!(is_lossless(&tagged), Some(true));
+            for length in 0..tagged.len() {
+                assert_eq!(is_lossless(&tagged[..length]), None, "{length} bytes");
+            }
+        }
+        let other = b"RIFF\x01\x02\x03\x04AVI ";
+        assert_eq!(is_lossless(other), Some(false));
+        let tag = b"ID3\x04\0\0\0\0\0\x02xx".as_slice();
+        assert_eq!(is_lossless(&[tag, tag, other].concat()), Some(false));
+    }
 
     fn refusal(bytes: &'static [u8]) -> String {
         sniff(&Bytes::from_static(bytes)).unwrap_err().to_string()
@@ -331,15 +221,5 @@ mod tests {
         let upload = sniff(&Bytes::from(file)).unwrap();
         assert_eq!(upload.container, Container::Mp3);
         assert_eq!(upload.bytes, frame.repeat(3));
-    }
-
-    #[test]
-    fn frame_lengths_follow_the_standard() {
-        assert_eq!(mp3_frame_length(&[0xff, 0xfb, 0x90, 0]), Some(417));
-        assert_eq!(mp3_frame_length(&[0xff, 0xfb, 0x92, 0]), Some(418));
-        // MPEG 2 at 24 kHz and 64 kbit/s: 72 * 64000 / 24000.
-        assert_eq!(mp3_frame_length(&[0xff, 0xf3, 0x84, 0]), Some(192));
-        assert_eq!(mp3_frame_length(&[0xff, 0xfb, 0x00, 0]), None);
-        assert_eq!(mp3_frame_length(&[0xff, 0xfb, 0xf0, 0]), None);
     }
 }

@@ -1,4 +1,4 @@
-//! Why a codebook could not be shown.
+//! The crate's error.
 
 use bailando_model::ModelError;
 use bailando_motion::MotionError;
@@ -6,7 +6,7 @@ use bailando_motion::MotionError;
 /// Why a codebook could not be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum CodebookError {
-    /// A dance uses codes that the model does not have, or not in pairs.
+    /// A motion uses codes that the model does not have, or not in pairs.
     #[error("{0}")]
     Codes(String),
     /// The decoder failed.
@@ -18,4 +18,10 @@ pub enum CodebookError {
     /// A sheet could not be drawn.
     #[error("the sheet can't be drawn: {0}")]
     Draw(String),
+}
+
+impl CodebookError {
+    pub(crate) fn draw(error: impl std::fmt::Display) -> Self {
+        Self::Draw(error.to_string())
+    }
 }

@@ -1,7 +1,5 @@
 //! A stick figure of a pose.
 
-use std::fmt::Display;
-
 use glam::{Quat, Vec3};
 use plotters::{
     coord::Shift,
@@ -11,15 +9,16 @@ use plotters::{
     style::{Color, RGBColor},
 };
 
-use super::{Catalogue, CodebookError, Half};
+use crate::{error::CodebookError, half::Half};
 use bailando_motion::Skeleton;
 
 /// A part of a sheet, in pixels.
-pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// Pixels per metre.
 const SCALE: f32 = 84.0;
-/// The viewer stands a little to the figure's left: legs that cross are told apart.
+/// The viewer stands a little to the figure's left, so that crossed legs can be distinguished.
+/// Radians.
 const ASIDE: f32 = 0.35;
 const WIDTH: u32 = 5;
 /// Radius of a head, metres.
@@ -29,7 +28,7 @@ const TRUNK: RGBColor = RGBColor(52, 58, 70);
 const LEFT: RGBColor = RGBColor(38, 132, 186);
 const RIGHT: RGBColor = RGBColor(224, 106, 59);
 const PALE: RGBColor = RGBColor(208, 208, 204);
-pub(super) const FLOOR: RGBColor = RGBColor(226, 224, 218);
+pub(crate) const FLOOR: RGBColor = RGBColor(226, 224, 218);
 
 /// Bones that are drawn in one stroke.
 struct Limb {
@@ -38,38 +37,32 @@ struct Limb {
     colour: RGBColor,
 }
 
-/// How to draw poses of one skeleton.
-pub(super) struct Figure {
+/// The limbs of one skeleton, as they are drawn.
+pub(crate) struct Figure {
     limbs: Vec<Limb>,
-    /// The head, and what it sits on.
+    /// The head and its parent.
     head: Option<[usize; 2]>,
 }
 
 /// Where and how a pose is drawn.
-pub(super) struct Stand {
+pub(crate) struct Placement {
     /// The floor below the root, pixels.
-    pub(super) floor: (i32, i32),
-    /// Half that is drawn strong; none: the whole body is.
-    pub(super) strong: Option<Half>,
+    pub(crate) floor: (i32, i32),
+    /// Half in strong colours, the other is pale; none: both are strong.
+    pub(crate) strong: Option<Half>,
 }
 
 impl Figure {
-    pub(super) fn new(catalogue: &Catalogue) -> Self {
-        let skeleton = &catalogue.skeleton;
-        let upper = &catalogue.upper.joints;
-        let half = |joint: usize| match upper.contains(&joint) {
-            true => Half::Upper,
-            false => Half::Lower,
-        };
-        let alike = |a: usize, b: usize| {
-            half(a) == half(b) && side_colour(skeleton, a) == side_colour(skeleton, b)
-        };
+    pub(crate) fn new(skeleton: &Skeleton, upper_joints: &[usize]) -> Self {
+        let half = |joint| Half::of_joint(joint, upper_joints);
+        let look = |joint| (half(joint), side_colour(skeleton, joint));
         let joints = 0..skeleton.joints.len();
+        // The child that continues the stroke of a joint.
         let next = |joint: usize| {
             let mut children = joints
                 .clone()
-                .filter(|&c| skeleton.parent(c) == Some(joint));
-            children.find(|&child| joint != 0 && alike(child, joint))
+                .filter(|&child| skeleton.parent(child) == Some(joint));
+            children.find(|&child| joint != 0 && look(child) == look(joint))
         };
         let limbs = joints.clone().filter_map(|first| {
             let parent = skeleton.parent(first)?;
@@ -77,10 +70,11 @@ impl Figure {
                 return None;
             }
             let rest = std::iter::successors(Some(first), |&joint| next(joint));
+            let (half, colour) = look(first);
             Some(Limb {
                 joints: std::iter::once(parent).chain(rest).collect(),
-                half: half(first),
-                colour: side_colour(skeleton, first),
+                half,
+                colour,
             })
         });
         let head = skeleton.joints.iter().position(|name| name == "head");
@@ -91,65 +85,57 @@ impl Figure {
     }
 
     /// Draws `pose` with its lowest joint on the floor.
-    pub(super) fn draw(
+    pub(crate) fn draw(
         &self,
         area: &Area<'_>,
         pose: &[Vec3],
-        stand: &Stand,
+        placement: &Placement,
     ) -> Result<(), CodebookError> {
-        let lowest = pose
-            .iter()
-            .map(|joint| joint.y)
-            .fold(f32::INFINITY, f32::min);
-        let (x, y) = stand.floor;
+        let heights = pose.iter().map(|joint| joint.y);
+        let lowest = heights.fold(f32::INFINITY, f32::min);
+        let (x, y) = placement.floor;
         let seen = |joint: Vec3| {
             let (right, up) = (joint.x * SCALE, (joint.y - lowest) * SCALE);
             (x + right.round() as i32, y - up.round() as i32)
         };
-        let at = |joint: &usize| pose.get(*joint).copied().unwrap_or_default();
-        let weak = |half| stand.strong.is_some_and(|strong| strong != half);
+        let pale = |half| placement.strong.is_some_and(|strong| strong != half);
         let depth = |limb: &Limb| {
-            let sum: f32 = limb.joints.iter().map(|joint| at(joint).z).sum();
-            sum / limb.joints.len().max(1) as f32
+            let sum: f32 = limb.joints.iter().map(|&joint| pose[joint].z).sum();
+            sum / limb.joints.len() as f32
         };
         let mut limbs: Vec<&Limb> = self.limbs.iter().collect();
-        // What is pale is behind, then what is farther from the viewer at +z.
+        // Pale limbs first, then those farther from the viewer at +z.
         limbs.sort_by(|a, b| {
-            let pale = weak(b.half).cmp(&weak(a.half));
-            pale.then(depth(a).total_cmp(&depth(b)))
+            let paler = pale(b.half).cmp(&pale(a.half));
+            paler.then(depth(a).total_cmp(&depth(b)))
         });
         for limb in limbs {
-            let colour = if weak(limb.half) { PALE } else { limb.colour };
-            let points: Vec<(i32, i32)> = limb.joints.iter().map(|joint| seen(at(joint))).collect();
-            let stroke = PathElement::new(points, colour.stroke_width(WIDTH));
-            area.draw(&stroke).map_err(drawn)?;
+            let colour = if pale(limb.half) { PALE } else { limb.colour };
+            let points = limb.joints.iter().map(|&joint| seen(pose[joint]));
+            let stroke = PathElement::new(points.collect::<Vec<_>>(), colour.stroke_width(WIDTH));
+            area.draw(&stroke).map_err(CodebookError::draw)?;
         }
         if let Some([head, neck]) = self.head {
-            let up = (at(&head) - at(&neck)).normalize_or_zero();
-            let middle = seen(at(&head) + 0.5 * HEAD * up);
-            let colour = if weak(Half::Upper) { PALE } else { TRUNK };
+            let up = (pose[head] - pose[neck]).normalize_or_zero();
+            let middle = seen(pose[head] + 0.5 * HEAD * up);
+            let colour = if pale(Half::Upper) { PALE } else { TRUNK };
             let round = Circle::new(middle, (HEAD * SCALE) as i32, colour.filled());
-            area.draw(&round).map_err(drawn)?;
+            area.draw(&round).map_err(CodebookError::draw)?;
         }
         Ok(())
     }
 }
 
-/// Turns a pose that faces +z to the viewer.
-pub(super) fn to_viewer(pose: &[[f32; 3]]) -> Vec<Vec3> {
+/// Turns a pose that faces +z towards the viewer.
+pub(crate) fn to_viewer(pose: &[[f32; 3]]) -> Vec<Vec3> {
     let turn = Quat::from_rotation_y(-ASIDE);
     pose.iter().map(|&place| turn * Vec3::from(place)).collect()
 }
 
 fn side_colour(skeleton: &Skeleton, joint: usize) -> RGBColor {
-    let name = skeleton.joints.get(joint).map_or("", String::as_str);
-    match name.get(..2) {
+    match skeleton.joints[joint].get(..2) {
         Some("l_") => LEFT,
         Some("r_") => RIGHT,
         _ => TRUNK,
     }
-}
-
-pub(super) fn drawn(error: impl Display) -> CodebookError {
-    CodebookError::Draw(error.to_string())
 }

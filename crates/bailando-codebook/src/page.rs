@@ -1,14 +1,12 @@
-//! One page that shows everything, without any other file.
+//! One page of HTML with all sheets, which needs no other file.
 
-use std::fmt::Write;
-
-use super::{Catalogue, CodebookError, Half, Order};
+use crate::{catalogue::Catalogue, error::CodebookError, half::Half, sheet::Order};
 
 const STYLE: &str = "body{font:16px/1.5 sans-serif;color:#343a46;margin:2rem;max-width:1900px}\
 svg{width:100%;height:auto}figure{margin:0 0 2rem}";
 
 impl Catalogue {
-    /// `index.html`: the sheets of both halves and of the changes between them.
+    /// Writes `index.html`: the sheets of both halves and of the changes between them.
     ///
     /// # Errors
     /// [`CodebookError::Draw`].
@@ -21,34 +19,24 @@ impl Catalogue {
             sheets.push((title, self.sheet(half, columns, order)?));
         }
         let model = escaped(&self.model);
-        let mut page = String::new();
-        let mut body = || -> std::fmt::Result {
-            writeln!(page, "<!DOCTYPE html>\n<html lang=\"en\">\n<head>")?;
-            writeln!(
-                page,
-                "<meta charset=\"utf-8\">\n<title>Codebook of {model}</title>"
-            )?;
-            writeln!(page, "<style>{STYLE}</style>\n</head>\n<body>")?;
-            writeln!(page, "<h1>Codebook of {model}</h1>")?;
-            writeln!(
-                page,
-                "<p>{} upper and {} lower codes. A code that is repeated is a still pose; one pair \
-                 of codes after another is a movement. Left limbs are blue, right ones orange.</p>",
-                self.upper.codes.len(),
-                self.lower.codes.len()
-            )?;
-            for (title, svg) in &sheets {
-                writeln!(page, "<h2>{title}</h2>\n<figure>{svg}</figure>")?;
-            }
-            writeln!(page, "</body>\n</html>")
-        };
-        body().map_err(|error| CodebookError::Draw(error.to_string()))?;
+        let mut page = format!(
+            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+             <title>Codebook of {model}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n\
+             <h1>Codebook of {model}</h1>\n<p>{} upper and {} lower codes. A repeated code is a \
+             still pose; one pair of codes after another is a movement. Left limbs are blue, right \
+             ones orange.</p>\n",
+            self.upper.codes.len(),
+            self.lower.codes.len()
+        );
+        for (title, svg) in &sheets {
+            page += &format!("<h2>{title}</h2>\n<figure>{svg}</figure>\n");
+        }
+        page += "</body>\n</html>\n";
         Ok(page)
     }
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
+    let text = text.replace('&', "&amp;");
+    text.replace('<', "&lt;").replace('>', "&gt;")
 }

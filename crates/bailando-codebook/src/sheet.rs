@@ -11,30 +11,32 @@ use plotters::{
     },
 };
 
-use super::{
-    Catalogue, CodePose, CodebookError, Half, Transition,
-    facing::{bodies_to_front, halves_to_front},
-    figure::{Area, FLOOR, Figure, Stand, drawn, to_viewer},
-    transition::POSES,
+use crate::{
+    catalogue::{Catalogue, CodePose},
+    error::CodebookError,
+    figure::{Area, FLOOR, Figure, Placement, to_viewer},
+    half::Half,
+    heading::{bodies_to_front, halves_to_front},
+    transition::{POSES, Transition},
 };
 
-/// Room of one figure, pixels.
+/// Width and height of one figure's cell, pixels.
 const CELL: (u32, u32) = (160, 212);
-/// Where the floor is in it.
+/// Height of the floor in a cell, from its top.
 const GROUND: i32 = 182;
 const TITLE_HEIGHT: u32 = 64;
 const MARGIN: i32 = 14;
-/// Left of a film strip: what changes into what.
-const LABEL_WIDTH: u32 = 190;
+/// Left of a film strip: the two pairs.
+const LABEL_WIDTH: i32 = 190;
 /// A film strip's figures stand closer.
-const FRAME_WIDTH: u32 = 130;
-/// The dial that shows where a code faces.
+const FRAME_WIDTH: i32 = 130;
+/// The dial that shows a code's heading: x, y and radius.
 const DIAL: (i32, i32, i32) = (140, 20, 11);
 
 const INK: RGBColor = RGBColor(52, 58, 70);
 const FAINT: RGBColor = RGBColor(140, 140, 136);
 
-/// In which order codes are shown.
+/// The order of codes on a sheet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// By number.
@@ -56,28 +58,23 @@ impl Catalogue {
         }
         let columns = columns.clamp(1, codes.len().max(1) as u32);
         let rows = (codes.len() as u32).div_ceil(columns);
-        let (name, other) = match half {
-            Half::Upper => ("Upper", Half::Lower),
-            Half::Lower => ("Lower", Half::Upper),
+        let name = match half {
+            Half::Upper => "Upper",
+            Half::Lower => "Lower",
         };
         let title = format!("{name} codes of {}", self.model);
-        let (other, neutral) = (other.name(), self.half(other).neutral);
+        let (other, neutral) = (half.other().name(), self.half(half.other()).neutral);
         let mut note = format!("grey: {other} code {neutral}");
         if self.motion_frame.is_world() {
-            note += "; dial: where the code faces, seen from above, the viewer below";
+            note += "; dial: heading of the code, seen from above, the viewer below";
         }
-        let mut svg = String::new();
         let size = (columns * CELL.0, TITLE_HEIGHT + rows * CELL.1);
-        {
-            let area = page(&mut svg, size, &title, &note)?;
-            let figure = Figure::new(self);
+        drawn(size, [&title, &note], |area| {
+            let figure = self.figure();
             let cells = area.split_evenly((rows as usize, columns as usize));
-            for (code, cell) in codes.into_iter().zip(&cells) {
-                self.draw_code(&figure, cell, half, code)?;
-            }
-            area.present().map_err(drawn)?;
-        }
-        Ok(svg)
+            let mut pairs = codes.iter().zip(&cells);
+            pairs.try_for_each(|(code, cell)| self.draw_code(&figure, cell, half, code))
+        })
     }
 
     fn draw_code(
@@ -87,23 +84,18 @@ impl Catalogue {
         half: Half,
         code: &CodePose,
     ) -> Result<(), CodebookError> {
-        let (pose, facings) = halves_to_front(&code.pose, &self.upper.joints);
+        let (pose, headings) = halves_to_front(&code.pose, &self.upper.joints);
         let middle = CELL.0 as i32 / 2;
-        draw_floor(cell, middle)?;
-        let stand = Stand {
-            floor: (middle, GROUND),
-            strong: Some(half),
-        };
-        figure.draw(cell, &to_viewer(&pose), &stand)?;
+        draw_figure(figure, cell, middle, &pose, Some(half))?;
         if self.motion_frame.is_world() {
-            draw_dial(cell, *half.of(&facings))?;
+            draw_dial(cell, *half.of(&headings))?;
         }
         let number = code.code.to_string();
-        let place = (middle, GROUND + 4);
         let label = match code.uses {
             None => number,
             Some(uses) => format!("{number} ({uses}×)"),
         };
+        let place = (middle, GROUND + 4);
         write(cell, &label, place, HPos::Center, (22, INK))
     }
 
@@ -117,24 +109,22 @@ impl Catalogue {
             "Pairs of codes of {}, and how one becomes the next",
             self.model
         );
-        let mut svg = String::new();
-        let width = LABEL_WIDTH + POSES as u32 * FRAME_WIDTH;
-        {
-            let size = (width, TITLE_HEIGHT + rows * CELL.1);
-            let area = page(
-                &mut svg,
-                size,
-                &title,
-                "upper / lower code; two poses a code",
-            )?;
-            let figure = Figure::new(self);
-            let strips = area.split_evenly((rows.max(1) as usize, 1));
-            for (transition, strip) in self.transitions.iter().zip(&strips) {
-                draw_strip(&figure, strip, transition)?;
-            }
-            area.present().map_err(drawn)?;
-        }
-        Ok(svg)
+        let note = "upper / lower code; two poses a code";
+        let width = LABEL_WIDTH as u32 + POSES as u32 * FRAME_WIDTH as u32;
+        drawn(
+            (width, TITLE_HEIGHT + rows * CELL.1),
+            [&title, note],
+            |area| {
+                let figure = self.figure();
+                let strips = area.split_evenly((rows.max(1) as usize, 1));
+                let mut pairs = self.transitions.iter().zip(&strips);
+                pairs.try_for_each(|(transition, strip)| draw_strip(&figure, strip, transition))
+            },
+        )
+    }
+
+    fn figure(&self) -> Figure {
+        Figure::new(&self.skeleton, &self.upper.joints)
     }
 }
 
@@ -143,70 +133,64 @@ fn draw_strip(
     strip: &Area<'_>,
     transition: &Transition,
 ) -> Result<(), CodebookError> {
-    let poses = bodies_to_front(&transition.poses);
-    for (index, pose) in poses.iter().enumerate() {
-        let middle =
-            LABEL_WIDTH as i32 + FRAME_WIDTH as i32 * index as i32 + FRAME_WIDTH as i32 / 2;
-        draw_floor(strip, middle)?;
-        let stand = Stand {
-            floor: (middle, GROUND),
-            strong: None,
-        };
-        figure.draw(strip, &to_viewer(pose), &stand)?;
+    for (index, pose) in bodies_to_front(&transition.poses).iter().enumerate() {
+        let middle = LABEL_WIDTH + FRAME_WIDTH * index as i32 + FRAME_WIDTH / 2;
+        draw_figure(figure, strip, middle, pose, None)?;
     }
     let pair = |[upper, lower]: [u32; 2]| format!("{upper} / {lower}");
-    let (from, to) = (pair(transition.from), pair(transition.to));
+    let (from, to) = (pair(transition.from), format!("→ {}", pair(transition.to)));
     write(strip, &from, (MARGIN, 60), HPos::Left, (24, INK))?;
-    write(
-        strip,
-        &format!("→ {to}"),
-        (MARGIN, 92),
-        HPos::Left,
-        (24, INK),
-    )?;
-    match transition.uses {
-        None => Ok(()),
-        Some(uses) => write(
-            strip,
-            &format!("{uses}×"),
-            (MARGIN, 126),
-            HPos::Left,
-            (20, FAINT),
-        ),
+    write(strip, &to, (MARGIN, 92), HPos::Left, (24, INK))?;
+    if let Some(uses) = transition.uses {
+        let uses = format!("{uses}×");
+        write(strip, &uses, (MARGIN, 126), HPos::Left, (20, FAINT))?;
     }
+    Ok(())
 }
 
-/// A white page with its title; what is left below.
-fn page<'a>(
-    svg: &'a mut String,
+/// Returns a white SVG with a title and a note, and below them what `content` draws.
+fn drawn(
     size: (u32, u32),
-    title: &str,
-    note: &str,
-) -> Result<Area<'a>, CodebookError> {
-    let area = SVGBackend::with_string(svg, size).into_drawing_area();
-    area.fill(&WHITE).map_err(drawn)?;
-    let (head, rest) = area.split_vertically(TITLE_HEIGHT);
-    write(&head, title, (MARGIN, 8), HPos::Left, (24, INK))?;
-    write(&head, note, (MARGIN, 38), HPos::Left, (17, FAINT))?;
-    Ok(rest)
+    [title, note]: [&str; 2],
+    content: impl FnOnce(&Area<'_>) -> Result<(), CodebookError>,
+) -> Result<String, CodebookError> {
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        area.fill(&WHITE).map_err(CodebookError::draw)?;
+        let (head, rest) = area.split_vertically(TITLE_HEIGHT);
+        write(&head, title, (MARGIN, 8), HPos::Left, (24, INK))?;
+        write(&head, note, (MARGIN, 38), HPos::Left, (17, FAINT))?;
+        content(&rest)?;
+        area.present().map_err(CodebookError::draw)?;
+    }
+    Ok(svg)
 }
 
-fn draw_floor(cell: &Area<'_>, middle: i32) -> Result<(), CodebookError> {
+fn draw_figure(
+    figure: &Figure,
+    area: &Area<'_>,
+    middle: i32,
+    pose: &[[f32; 3]],
+    strong: Option<Half>,
+) -> Result<(), CodebookError> {
     let ends = [(middle - 52, GROUND + 2), (middle + 52, GROUND + 2)];
-    let line = PathElement::new(ends, FLOOR.stroke_width(3));
-    cell.draw(&line).map_err(drawn)
+    let floor = PathElement::new(ends, FLOOR.stroke_width(3));
+    area.draw(&floor).map_err(CodebookError::draw)?;
+    let floor = (middle, GROUND);
+    figure.draw(area, &to_viewer(pose), &Placement { floor, strong })
 }
 
-/// A floor seen from above, the viewer at +z below it, and a hand that points where a code faces.
-fn draw_dial(cell: &Area<'_>, facing: f32) -> Result<(), CodebookError> {
+/// Draws a floor seen from above, the viewer at +z below it, with a hand for a code's heading.
+fn draw_dial(cell: &Area<'_>, heading: f32) -> Result<(), CodebookError> {
     let (x, y, radius) = DIAL;
-    let (sin, cos) = facing.sin_cos();
+    let (sin, cos) = heading.sin_cos();
     let end = |part: f32| (part * radius as f32).round() as i32;
     let hand = [(x, y), (x + end(sin), y + end(cos))];
     let round = Circle::new((x, y), radius, FLOOR.filled());
-    cell.draw(&round).map_err(drawn)?;
+    cell.draw(&round).map_err(CodebookError::draw)?;
     let hand = PathElement::new(hand, INK.stroke_width(3));
-    cell.draw(&hand).map_err(drawn)
+    cell.draw(&hand).map_err(CodebookError::draw)
 }
 
 fn write(
@@ -218,5 +202,6 @@ fn write(
 ) -> Result<(), CodebookError> {
     let font = ("sans-serif", size).into_font().color(&colour);
     let style: TextStyle<'_> = font.pos(Pos::new(side, VPos::Top));
-    area.draw_text(text, &style, place).map_err(drawn)
+    area.draw_text(text, &style, place)
+        .map_err(CodebookError::draw)
 }

@@ -1,31 +1,33 @@
-//! The still pose of every code: a code that is repeated decodes to one (ARCHITECTURE section 7).
+//! The still pose of every code: a repeated code decodes to one (ARCHITECTURE section 7).
 
-use ndarray::{Array2, ArrayView1, Axis, Slice};
+use ndarray::Array2;
 
-use super::{CodebookError, Half, facing::halves_to_front};
+use crate::{
+    error::CodebookError,
+    half::Half,
+    heading::halves_to_front,
+    pose::{Pose, pose},
+};
 use bailando_core::CancelToken;
 use bailando_model::{Decoder, Manifest};
-
-/// x, y and z of every joint in metres, the root at 0.
-pub(super) type Pose = Vec<[f32; 3]>;
 
 /// How often a code is repeated: its middle is far from the zero padding at the ends.
 const REPEATS: usize = 12;
 /// Runs that are decoded at once.
 const BATCH: usize = 16;
 
-/// A body whose joints of either half are those of each code in turn. The halves are decoded
-/// independently of each other, so one run tells of an upper and of a lower code.
-pub(super) struct StillPoses {
+/// Bodies whose joints of either half are those of each code in turn. The halves are decoded
+/// independently of each other, so one run shows an upper and a lower code.
+pub(crate) struct StillPoses {
     bodies: Vec<Pose>,
-    /// The same, each half facing +z.
+    /// The same, each half turned towards +z.
     fronts: Vec<Pose>,
     joints: [Vec<usize>; 2],
     codes: [usize; 2],
 }
 
 impl StillPoses {
-    pub(super) fn decode(
+    pub(crate) fn decode(
         decoder: &mut Decoder,
         manifest: &Manifest,
     ) -> Result<Self, CodebookError> {
@@ -35,90 +37,65 @@ impl StillPoses {
         let mut bodies = Vec::with_capacity(runs.len());
         for batch in runs.chunks(BATCH) {
             let repeated = |codes: usize| {
-                // The shorter vocabulary's last code is decoded again and never looked at.
-                let code = |run: usize| run.min(codes.saturating_sub(1)) as u32;
-                let shape = (batch.len(), REPEATS);
-                Array2::from_shape_fn(shape, |(run, _)| batch.get(run).map_or(0, |&r| code(r)))
+                // The shorter vocabulary's last code is decoded again, and that is never used.
+                let code = |run: usize| batch[run].min(codes.saturating_sub(1)) as u32;
+                Array2::from_shape_fn((batch.len(), REPEATS), |(run, _)| code(run))
             };
             let [upper, lower] = codes.map(repeated);
             let never = CancelToken::new();
             let motion = decoder.decode_batch(upper.view(), lower.view(), &never)?;
-            bodies.extend(motion.outer_iter().map(|run| {
-                let frame = run.slice_axis(Axis(0), Slice::from(middle..=middle));
-                pose(frame.index_axis(Axis(0), 0), manifest.skeleton.joints.len())
-            }));
+            let joints = manifest.skeleton.joints.len();
+            bodies.extend(motion.outer_iter().map(|run| pose(run.row(middle), joints)));
         }
-        let joints = [manifest.upper_joints.clone(), manifest.lower_joints.clone()];
-        let [upper, _] = &joints;
+        let upper = &manifest.upper_joints;
         let fronts = bodies.iter().map(|body| halves_to_front(body, upper).0);
         Ok(Self {
             fronts: fronts.collect(),
             bodies,
-            joints,
+            joints: [upper.clone(), manifest.lower_joints.clone()],
             codes,
         })
     }
 
     /// Number of codes of a half.
-    pub(super) fn codes(&self, half: Half) -> usize {
-        half.of(&self.codes).to_owned()
+    pub(crate) fn codes(&self, half: Half) -> usize {
+        *half.of(&self.codes)
     }
 
-    /// A body of one upper and one lower code; as [`Pose`].
-    pub(super) fn body(&self, upper: usize, lower: usize) -> Pose {
-        let mut body = self.bodies.get(lower).cloned().unwrap_or_default();
-        if let Some(other) = self.bodies.get(upper) {
-            for &joint in Half::Upper.of(&self.joints) {
-                if let (Some(place), Some(from)) = (body.get_mut(joint), other.get(joint)) {
-                    *place = *from;
-                }
-            }
+    /// Joints that a half decodes.
+    pub(crate) fn joints(&self, half: Half) -> &[usize] {
+        half.of::<Vec<usize>>(&self.joints)
+    }
+
+    /// Returns the body of one upper and one lower code.
+    pub(crate) fn body(&self, [upper, lower]: [usize; 2]) -> Pose {
+        let mut body = self.bodies[lower].clone();
+        for &joint in self.joints(Half::Upper) {
+            body[joint] = self.bodies[upper][joint];
         }
         body
     }
 
     /// Distances of every code of a half to one of them: the mean over the half's joints, metres.
-    pub(super) fn distances(&self, half: Half, code: usize) -> Vec<f32> {
+    pub(crate) fn distances(&self, half: Half, code: usize) -> Vec<f32> {
         self.apart(&self.bodies, half, code)
     }
 
-    /// As [`Self::distances`], but with every pose facing +z.
-    pub(super) fn distances_from_front(&self, half: Half, code: usize) -> Vec<f32> {
+    /// As [`Self::distances`], with every pose turned towards +z.
+    pub(crate) fn distances_from_front(&self, half: Half, code: usize) -> Vec<f32> {
         self.apart(&self.fronts, half, code)
     }
 
     fn apart(&self, bodies: &[Pose], half: Half, code: usize) -> Vec<f32> {
         // The root is at 0 in every pose.
-        let joints: Vec<usize> = half
-            .of(&self.joints)
-            .iter()
-            .copied()
-            .filter(|&j| j != 0)
-            .collect();
-        let at = |code: usize, joint: usize| -> [f32; 3] {
-            let body = bodies.get(code);
-            body.and_then(|body| body.get(joint))
-                .copied()
-                .unwrap_or_default()
-        };
+        let joints = || self.joints(half).iter().filter(|&&joint| joint != 0);
         let apart = |other: usize| {
-            let lengths = joints.iter().map(|&joint| {
-                let pairs = at(code, joint).into_iter().zip(at(other, joint));
+            let lengths = joints().map(|&joint| {
+                let pairs = bodies[code][joint].into_iter().zip(bodies[other][joint]);
                 pairs.map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
             });
-            lengths.sum::<f32>() / joints.len().max(1) as f32
+            lengths.sum::<f32>() / joints().count().max(1) as f32
         };
         (0..self.codes(half)).map(apart).collect()
     }
-}
-
-/// The joints of one decoded frame. What the root does next, and a turn, are no part of a pose.
-pub(super) fn pose(columns: ArrayView1<'_, f32>, joints: usize) -> Pose {
-    let column = |index: usize| columns.get(index).copied().unwrap_or_default();
-    (0..joints)
-        .map(|joint| match joint {
-            0 => [0.0; 3],
-            _ => std::array::from_fn(|axis| column(3 * joint + axis)),
-        })
-        .collect()
 }

@@ -1,12 +1,12 @@
-//! How one pose becomes another: a pair of codes, then another pair.
+//! The change from one pair of codes to another.
 
 use ndarray::{Array2, Axis};
 use serde::Serialize;
 
-use super::{
-    CodebookError, Uses,
-    still::{Pose, pose},
-    uses::Pair,
+use crate::{
+    error::CodebookError,
+    pose::{Pose, pose},
+    uses::{Pair, Uses},
 };
 use bailando_core::CancelToken;
 use bailando_model::{Decoder, Manifest};
@@ -14,7 +14,7 @@ use bailando_model::{Decoder, Manifest};
 /// How often either pair is repeated, so that both are poses before and after the change.
 const REPEATS: usize = 6;
 /// Poses that are shown of a change.
-pub(super) const POSES: usize = 9;
+pub(crate) const POSES: usize = 9;
 /// Poses that are shown of each code.
 const POSES_PER_CODE: usize = 2;
 
@@ -25,28 +25,32 @@ pub struct Transition {
     pub from: Pair,
     /// The pair after.
     pub to: Pair,
-    /// How often the counted dances do this.
+    /// How often the counted motions contain it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub uses: Option<u64>,
-    /// The change itself, evenly spaced in time.
+    /// Poses of the change, evenly spaced in time.
     #[serde(skip)]
-    pub(super) poses: Vec<Pose>,
+    pub(crate) poses: Vec<Pose>,
 }
 
-/// The changes worth showing, at most `most`: the most frequent of the counted dances, else those
-/// between the model's start codes one after another, else between pairs drawn evenly from the
-/// vocabulary.
-pub(super) fn chosen(manifest: &Manifest, uses: Option<&Uses>, most: usize) -> Vec<Transition> {
-    let transition = |from, to, uses| Transition {
-        from,
-        to,
-        uses,
-        poses: Vec::new(),
-    };
+impl Transition {
+    fn new(from: Pair, to: Pair, uses: Option<u64>) -> Self {
+        Self {
+            from,
+            to,
+            uses,
+            poses: Vec::new(),
+        }
+    }
+}
+
+/// Chooses at most `most` changes: the most frequent of the counted motions, else those between
+/// the model's start codes in their order, else between pairs drawn evenly from the vocabulary.
+pub(crate) fn chosen(manifest: &Manifest, uses: Option<&Uses>, most: usize) -> Vec<Transition> {
     if let Some(uses) = uses {
         let changes = uses.changes(most).into_iter();
         return changes
-            .map(|([from, to], uses)| transition(from, to, Some(uses)))
+            .map(|([from, to], uses)| Transition::new(from, to, Some(uses)))
             .collect();
     }
     let pairs = match manifest.start_codes.as_slice() {
@@ -55,10 +59,8 @@ pub(super) fn chosen(manifest: &Manifest, uses: Option<&Uses>, most: usize) -> V
     };
     let next = pairs.iter().cycle().skip(1);
     let changes = pairs.iter().zip(next).filter(|(from, to)| from != to);
-    changes
-        .take(most)
-        .map(|(&from, &to)| transition(from, to, None))
-        .collect()
+    let changes = changes.map(|(&from, &to)| Transition::new(from, to, None));
+    changes.take(most).collect()
 }
 
 fn evenly(manifest: &Manifest, count: usize) -> Vec<Pair> {
@@ -66,12 +68,12 @@ fn evenly(manifest: &Manifest, count: usize) -> Vec<Pair> {
     let count = count.clamp(2, vocabulary.upper.max(vocabulary.lower).max(2));
     let code = |index: usize, codes: usize| (index * codes / count) as u32;
     (0..count)
-        .map(|index| [code(index, vocabulary.upper), code(index, vocabulary.lower)])
+        .map(|index| [vocabulary.upper, vocabulary.lower].map(|codes| code(index, codes)))
         .collect()
 }
 
-/// Decodes what `transitions` look like.
-pub(super) fn decode(
+/// Decodes the poses of `transitions`.
+pub(crate) fn decode(
     transitions: &mut [Transition],
     decoder: &mut Decoder,
     manifest: &Manifest,
@@ -79,27 +81,21 @@ pub(super) fn decode(
     if transitions.is_empty() {
         return Ok(());
     }
-    let codes = |half: usize| {
-        Array2::from_shape_fn((transitions.len(), 2 * REPEATS), |(row, step)| {
-            let pair = transitions.get(row).map(|change| match step {
-                0..REPEATS => change.from,
-                _ => change.to,
-            });
-            pair.and_then(|pair| pair.get(half).copied()).unwrap_or(0)
+    let [upper, lower] = [0, 1].map(|half| {
+        Array2::from_shape_fn((transitions.len(), 2 * REPEATS), |(row, step)| match step {
+            0..REPEATS => transitions[row].from[half],
+            _ => transitions[row].to[half],
         })
-    };
-    let (upper, lower) = (codes(0), codes(1));
+    });
     let motion = decoder.decode_batch(upper.view(), lower.view(), &CancelToken::new())?;
     let step = manifest.frames_per_code / POSES_PER_CODE;
     let first = (REPEATS * manifest.frames_per_code).saturating_sub(POSES / 2 * step);
+    let joints = manifest.skeleton.joints.len();
     for (transition, decoded) in transitions.iter_mut().zip(motion.outer_iter()) {
         let world = manifest.motion_frame.into_world(decoded.to_owned())?;
         let frames = world.axis_iter(Axis(0)).skip(first).step_by(step.max(1));
-        let joints = manifest.skeleton.joints.len();
-        transition.poses = frames
-            .take(POSES)
-            .map(|frame| pose(frame, joints))
-            .collect();
+        let poses = frames.take(POSES).map(|frame| pose(frame, joints));
+        transition.poses = poses.collect();
     }
     Ok(())
 }

@@ -1,58 +1,56 @@
-//! How often dances use each code, and each change from one pair of codes to another.
+//! How often motions use each code, and each change from one pair of codes to another.
 
 use std::{cmp::Reverse, collections::BTreeMap};
 
-use super::{CodebookError, Half};
+use crate::{error::CodebookError, half::Half};
 use bailando_formats::Codes;
 use bailando_model::Vocabulary;
 
 /// An upper and a lower code: a whole body.
-pub(super) type Pair = [u32; 2];
+pub(crate) type Pair = [u32; 2];
 
-/// Counts over any number of dances.
+/// Counts of codes and of changes over any number of motions.
 #[derive(Clone, Debug)]
 pub struct Uses {
-    upper: Vec<u64>,
-    lower: Vec<u64>,
+    /// Upper, then lower.
+    counts: [Vec<u64>; 2],
     changes: BTreeMap<[Pair; 2], u64>,
 }
 
 impl Uses {
-    /// No dance yet.
+    /// Starts at 0 for every code.
     #[must_use]
     pub fn new(vocabulary: Vocabulary) -> Self {
         Self {
-            upper: vec![0; vocabulary.upper],
-            lower: vec![0; vocabulary.lower],
+            counts: [vocabulary.upper, vocabulary.lower].map(|codes| vec![0; codes]),
             changes: BTreeMap::new(),
         }
     }
 
-    /// Counts one dance.
+    /// Counts the codes of one motion.
     ///
     /// # Errors
     /// [`CodebookError::Codes`] where a code is not in the vocabulary or has no partner; nothing of
-    /// the dance is counted then.
-    pub fn add(&mut self, dance: &Codes) -> Result<(), CodebookError> {
-        let Codes { upper, lower } = dance;
+    /// the motion is counted then.
+    pub fn add(&mut self, codes: &Codes) -> Result<(), CodebookError> {
+        let Codes { upper, lower } = codes;
         if upper.len() != lower.len() {
             let (upper, lower) = (upper.len(), lower.len());
             let problem = format!("{upper} upper and {lower} lower codes: expected pairs");
             return Err(CodebookError::Codes(problem));
         }
-        for (half, codes) in [(Half::Upper, upper), (Half::Lower, lower)] {
+        for (half, codes) in Half::BOTH.into_iter().zip([upper, lower]) {
             let size = self.of(half).len();
             if let Some(code) = codes.iter().find(|&&code| code as usize >= size) {
-                let name = half.name();
-                let problem = format!("{name} code {code}, but the model has {size}: is it its?");
-                return Err(CodebookError::Codes(problem));
+                return Err(CodebookError::Codes(format!(
+                    "{} code {code}, but the model has {size}: are they of this model?",
+                    half.name()
+                )));
             }
         }
-        for (counts, codes) in [(&mut self.upper, upper), (&mut self.lower, lower)] {
+        for (counts, codes) in self.counts.iter_mut().zip([upper, lower]) {
             for &code in codes {
-                if let Some(count) = counts.get_mut(code as usize) {
-                    *count += 1;
-                }
+                counts[code as usize] += 1;
             }
         }
         let pairs: Vec<Pair> = upper.iter().zip(lower).map(|(&u, &l)| [u, l]).collect();
@@ -64,17 +62,14 @@ impl Uses {
         Ok(())
     }
 
-    /// Uses of each code.
+    /// Uses of each code of a half.
     #[must_use]
     pub fn of(&self, half: Half) -> &[u64] {
-        match half {
-            Half::Upper => &self.upper,
-            Half::Lower => &self.lower,
-        }
+        half.of::<Vec<u64>>(&self.counts)
     }
 
-    /// The most frequent changes with their counts, the most frequent first.
-    pub(super) fn changes(&self, most: usize) -> Vec<([Pair; 2], u64)> {
+    /// The most frequent changes with their counts, in descending order.
+    pub(crate) fn changes(&self, most: usize) -> Vec<([Pair; 2], u64)> {
         let mut changes: Vec<_> = self.changes.iter().map(|(&c, &uses)| (c, uses)).collect();
         // Stable: equally frequent ones stay in the order of their codes.
         changes.sort_by_key(|&(_, uses)| Reverse(uses));
@@ -99,14 +94,14 @@ mod tests {
     }
 
     #[test]
-    fn codes_and_changes_are_counted_over_dances() {
+    fn codes_and_changes_are_counted_over_motions() {
         let mut uses = uses();
         uses.add(&codes(&[3, 3, 0, 3, 0], &[1, 1, 2, 1, 2]))
             .unwrap();
         uses.add(&codes(&[1, 0], &[1, 2])).unwrap();
         assert_eq!(uses.of(Half::Upper), [3, 1, 0, 3]);
         assert_eq!(uses.of(Half::Lower), [0, 4, 3]);
-        // A pose that is held is no change; the end of one dance does not lead to the next.
+        // A held pose is no change, nor is the end of one motion and the start of the next.
         let expected = [
             ([[3, 1], [0, 2]], 2),
             ([[0, 2], [3, 1]], 1),
@@ -117,11 +112,11 @@ mod tests {
     }
 
     #[test]
-    fn dances_of_another_model_are_refused_whole() {
+    fn motions_of_another_model_are_refused_whole() {
         let mut uses = uses();
-        assert!(uses.add(&codes(&[0, 4], &[0, 0])).is_err());
-        assert!(uses.add(&codes(&[0, 1], &[0, 3])).is_err());
-        assert!(uses.add(&codes(&[0, 1], &[0])).is_err());
+        for (upper, lower) in [([0, 4], &[0, 0][..]), ([0, 1], &[0, 3]), ([0, 1], &[0])] {
+            assert!(uses.add(&codes(&upper, lower)).is_err());
+        }
         assert_eq!(uses.of(Half::Upper), [0; 4]);
     }
 }

@@ -1,16 +1,16 @@
-//! Which parts of a motion become samples of `FID` and diversity.
+//! The parts of a motion that become samples of `FID` and diversity.
 
 use glam::DVec3;
 
-use super::{
-    EvaluationError,
+use crate::{
     body::{Motion, Pose, joint::ROOT},
+    error::EvaluationError,
 };
 
-/// Frames of a piece that the published protocol looks at: 20 s.
-pub const PUBLISHED_FRAMES: usize = 1_200;
+/// Frames of a piece in the published protocol: 20 s.
+const PUBLISHED_FRAMES: usize = 1_200;
 
-/// Which parts of a motion become samples.
+/// The parts of a motion that become samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Clips {
     /// The first frames of each piece, or all of a shorter one: the published protocol.
@@ -33,10 +33,7 @@ impl Default for Clips {
 
 impl Clips {
     /// Checks that clips are long enough to have a velocity.
-    ///
-    /// # Errors
-    /// [`EvaluationError::Option`] names what does not fit.
-    pub fn check(self) -> Result<(), EvaluationError> {
+    pub(crate) fn check(self) -> Result<(), EvaluationError> {
         match self {
             Self::First(frames) | Self::Windows { length: frames, .. } if frames < 3 => {
                 Err(EvaluationError::Option(format!(
@@ -50,17 +47,16 @@ impl Clips {
         }
     }
 
-    /// What the samples are called.
-    #[must_use]
-    pub fn noun(self) -> &'static str {
+    /// The samples' noun in messages.
+    pub(crate) fn noun(self) -> &'static str {
         match self {
             Self::First(_) => "motions",
             Self::Windows { .. } => "windows",
         }
     }
 
-    /// The clips of a motion, each moved so that its first root is the origin.
-    pub(super) fn of(self, motion: &Motion) -> impl Iterator<Item = Vec<Pose>> {
+    /// Cuts the clips of a motion, each moved so that its first root is the origin.
+    pub(crate) fn of(self, motion: &Motion) -> impl Iterator<Item = Vec<Pose>> {
         let poses = motion.poses();
         let (length, stride) = match self {
             Self::First(frames) => (frames.min(poses.len()), poses.len()),
@@ -95,30 +91,26 @@ mod tests {
         clips.of(&motion(frames)).map(|clip| clip.len()).collect()
     }
 
-    #[test]
-    fn the_published_protocol_takes_the_beginning() {
-        assert_eq!(lengths(Clips::default(), 3_000), [1_200]);
-        assert_eq!(lengths(Clips::default(), 700), [700]);
+    const fn windows(length: usize, stride: usize) -> Clips {
+        Clips::Windows { length, stride }
     }
 
     #[test]
-    fn windows_have_no_tail() {
-        let windows = Clips::Windows {
-            length: 300,
-            stride: 150,
-        };
-        assert_eq!(lengths(windows, 1_706).len(), 10);
-        assert_eq!(lengths(windows, 600), [300; 3]);
-        assert_eq!(lengths(windows, 299), [0; 0]);
+    fn motions_are_cut_without_tails() {
+        for (clips, frames, expected) in [
+            (Clips::default(), 3_000, vec![1_200]),
+            (Clips::default(), 700, vec![700]),
+            (windows(300, 150), 1_706, vec![300; 10]),
+            (windows(300, 150), 600, vec![300; 3]),
+            (windows(300, 150), 299, vec![]),
+        ] {
+            assert_eq!(lengths(clips, frames), expected, "{clips:?} {frames}");
+        }
     }
 
     #[test]
     fn every_clip_begins_at_its_own_root() {
-        let windows = Clips::Windows {
-            length: 10,
-            stride: 10,
-        };
-        for clip in windows.of(&motion(40)) {
+        for clip in windows(10, 10).of(&motion(40)) {
             assert_eq!(clip[0][ROOT], DVec3::ZERO);
             assert_eq!(clip[9][3], DVec3::splat(9.0));
         }
@@ -126,17 +118,7 @@ mod tests {
 
     #[test]
     fn senseless_windows_are_refused() {
-        for clips in [
-            Clips::First(2),
-            Clips::Windows {
-                length: 0,
-                stride: 5,
-            },
-            Clips::Windows {
-                length: 300,
-                stride: 0,
-            },
-        ] {
+        for clips in [Clips::First(2), windows(0, 5), windows(300, 0)] {
             assert!(clips.check().is_err(), "{clips:?}");
         }
     }

@@ -1,14 +1,16 @@
-//! Distances between sets of feature rows: Fréchet distance and diversity. METRICS.md, "Distances".
+//! Distances between sets of feature rows: Fréchet distance and diversity (METRICS.md,
+//! "Distances").
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView2, Axis, Zip};
 
 /// Added to every deviation, as published.
 const EPSILON: f64 = 1e-10;
-/// A column that deviates less than this is constant: dividing by it would drown all others.
+/// A column that deviates less than this is constant: divided by it, rounding errors would drown
+/// all other columns.
 const CONSTANT: f64 = 1e-6;
 
-/// Mean and deviation of a reference set, which every set is measured in.
+/// Mean and deviation of a reference set: the units that every set is measured in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Standard {
     columns: Vec<usize>,
@@ -18,7 +20,7 @@ pub struct Standard {
 }
 
 impl Standard {
-    /// Of reference rows `[samples, columns]`; population deviation.
+    /// Measures reference rows `[samples, columns]`; population deviation.
     #[must_use]
     pub fn new(reference: ArrayView2<'_, f64>) -> Self {
         let samples = reference.nrows().max(1) as f64;
@@ -41,7 +43,7 @@ impl Standard {
         &self.constant
     }
 
-    /// Rows in units of the reference's deviation, without constant columns.
+    /// Returns rows in units of the reference's deviation, without constant columns.
     #[must_use]
     pub fn apply(&self, rows: ArrayView2<'_, f64>) -> Array2<f64> {
         (rows.select(Axis(1), &self.columns) - &self.mean) / &self.deviation
@@ -51,8 +53,8 @@ impl Standard {
 /// Fréchet distance of two sets of rows, as if both were normally distributed:
 /// `|m1 - m2|^2 + tr(S1) + tr(S2) - 2 tr((S1 S2)^(1/2))`, sample covariances.
 ///
-/// Each set needs at least 2 rows. With fewer rows than columns the covariances are singular and a
-/// matrix root of their product is not to be had reliably; its trace is the sum of the roots of the
+/// Each set needs at least 2 rows. With fewer rows than columns the covariances are singular, where
+/// a matrix root of their product is unreliable; its trace is the sum of the roots of the
 /// eigenvalues of `S1^(1/2) S2 S1^(1/2)`, which is symmetric and never negative.
 #[must_use]
 pub fn frechet_distance(one: ArrayView2<'_, f64>, other: ArrayView2<'_, f64>) -> f64 {
@@ -114,12 +116,10 @@ mod tests {
     use ndarray::array;
 
     use super::*;
+    use crate::testing::within;
 
     fn close(got: f64, expected: f64) {
-        assert!(
-            (got - expected).abs() < 1e-9 * expected.abs().max(1.0),
-            "{got} {expected}"
-        );
+        within(1e-9, got, expected);
     }
 
     #[test]
@@ -141,10 +141,8 @@ mod tests {
         let one = array![[0.0], [2.0]];
         let other = array![[1.0], [7.0]];
         let root = 2.0_f64.sqrt();
-        close(
-            frechet_distance(one.view(), other.view()),
-            9.0 + (root - 3.0 * root).powi(2),
-        );
+        let expected = 9.0 + (root - 3.0 * root).powi(2);
+        close(frechet_distance(one.view(), other.view()), expected);
     }
 
     #[test]

@@ -1,8 +1,11 @@
-//! Why sets of dances could not be compared.
+//! The crate's error.
 
-use std::{io, path::PathBuf};
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
 
-/// Why sets of dances could not be compared.
+/// Why sets of motions could not be compared.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluationError {
     /// A file or folder could not be read.
@@ -30,7 +33,10 @@ pub enum EvaluationError {
         problem: String,
     },
     /// A generated motion's name is no piece of the reference folder.
-    #[error("{name} is no piece of {}: a generated file is named after its piece", reference.display())]
+    #[error(
+        "{name} is no piece of {}: a generated file is named after its piece",
+        reference.display()
+    )]
     UnknownPiece {
         /// The file's stem.
         name: String,
@@ -61,4 +67,20 @@ pub enum EvaluationError {
     /// An option does not fit.
     #[error("{0}")]
     Option(String),
+}
+
+impl EvaluationError {
+    pub(crate) fn io(path: &Path) -> impl Fn(io::Error) -> Self {
+        |source| Self::Io {
+            path: path.to_owned(),
+            source,
+        }
+    }
+
+    pub(crate) fn file(path: &Path, problem: impl Into<String>) -> Self {
+        Self::File {
+            path: path.to_owned(),
+            problem: problem.into(),
+        }
+    }
 }

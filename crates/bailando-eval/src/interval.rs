@@ -7,10 +7,9 @@ const FEW: [f64; 10] = [
 /// The same quantile of the normal distribution.
 const MANY: f64 = 1.959_964;
 
-/// Mean, and half the width of its 95 % confidence interval (Student's t); none of no values, no
-/// width of a single one.
-#[must_use]
-pub fn mean_and_margin(values: &[f64]) -> Option<(f64, Option<f64>)> {
+/// Returns the mean, and half the width of its 95 % confidence interval (Student's t); none of no
+/// values, no width of a single one.
+pub(crate) fn mean_and_margin(values: &[f64]) -> Option<(f64, Option<f64>)> {
     if values.is_empty() {
         return None;
     }
@@ -53,13 +52,14 @@ mod tests {
 
     #[test]
     fn quantiles_are_those_of_tables() {
-        for (degrees, expected) in [
+        let table = [
             (1, 12.706),
             (10, 2.228),
             (11, 2.201),
             (20, 2.086),
             (60, 2.000),
-        ] {
+        ];
+        for (degrees, expected) in table {
             assert!((quantile(degrees) - expected).abs() < 6e-4, "{degrees}");
         }
     }

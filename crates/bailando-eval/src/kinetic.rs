@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use glam::DVec3;
 
-use super::body::{FRAMES_PER_SECOND, JOINTS, Pose};
+use crate::body::{FRAMES_PER_SECOND, JOINTS, Pose};
 
 /// Number of kinetic features.
 pub const KINETIC_FEATURES: usize = 3 * JOINTS;
@@ -16,17 +16,18 @@ const REACH: isize = 2;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum KineticForm {
     /// As in every published `FID_k` and `Div_k`: the original toolbox divides only the second term
-    /// of the earlier velocity by the frame time, so that the feature depends on where the dancer
-    /// stands.
+    /// of the earlier velocity by the frame time, so that the feature depends on the dancer's
+    /// place.
     #[default]
     Published,
     /// The second difference that was meant. Not comparable with published figures.
     Corrected,
 }
 
-/// The 72 features of a clip, joint by joint: horizontal and vertical energy, acceleration.
+/// Computes the 72 features of a clip, joint by joint: horizontal and vertical energy,
+/// acceleration.
 ///
-/// The clip is taken as it stands: move it to its first root beforehand.
+/// The published acceleration depends on the place: move the clip to its first root beforehand.
 #[must_use]
 pub fn kinetic_features(clip: &[Pose], form: KineticForm) -> [f64; KINETIC_FEATURES] {
     let mut features = [0.0; KINETIC_FEATURES];
@@ -49,7 +50,7 @@ pub fn kinetic_features(clip: &[Pose], form: KineticForm) -> [f64; KINETIC_FEATU
     features
 }
 
-/// Frames `frame + j`, `j = -2..=2`, that have a frame before them and `after` frames behind.
+/// Frames `frame + j`, `j = -2..=2`, that have a frame before and `after` frames after them.
 fn neighbours(frame: usize, frames: usize, after: usize) -> Range<usize> {
     let reach = REACH.unsigned_abs();
     let first = frame.saturating_sub(reach).max(1);
@@ -86,6 +87,11 @@ fn mean_acceleration(clip: &[Pose], joint: usize, frame: usize, form: KineticFor
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::within;
+
+    fn close(got: f64, expected: f64) {
+        within(1e-9, got, expected);
+    }
 
     const STEP: f64 = 1.0 / FRAMES_PER_SECOND;
 
@@ -93,13 +99,6 @@ mod tests {
         (0..frames)
             .map(|frame| [place(frame as f64 * STEP); JOINTS])
             .collect()
-    }
-
-    fn close(got: f64, expected: f64) {
-        assert!(
-            (got - expected).abs() < 1e-9 * expected.abs().max(1.0),
-            "{got} {expected}"
-        );
     }
 
     #[test]
@@ -122,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn the_published_form_is_what_its_formula_gives_for_a_still_joint() {
+    fn the_published_form_follows_its_formula_for_a_still_joint() {
         // v2 = 0, v1 = p - 60 p = -59 p, so a = 59 p * 60.
         let place = DVec3::new(0.0, 3.0, 4.0);
         let clip = clip(10, |_| place);
@@ -131,7 +130,7 @@ mod tests {
         close(kinetic_features(&clip, KineticForm::Corrected)[2], 0.0);
     }
 
-    /// Straight from the definition with its conditions on `j`, on an irregular motion.
+    /// Compares with the definition and its conditions on `j`, on an irregular motion.
     #[test]
     fn ends_use_the_neighbours_that_exist() {
         let place = |t: f64| DVec3::new((7.0 * t).sin(), (3.0 * t).cos(), (11.0 * t).sin() * t);

@@ -1,219 +1,106 @@
-//! Every metric by name: one table for tables, JSON and plots.
+//! Every metric by name: one table for reports, JSON and plots.
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
-/// What is measured on a set of dances.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Metric {
-    /// Fréchet distance of kinetic features to the reference.
-    FidK,
-    /// Fréchet distance of geometric features to the reference.
-    FidG,
-    /// Mean distance of pairs in kinetic features.
-    DivK,
-    /// Mean distance of pairs in geometric features.
-    DivG,
-    /// Beat align score, Eq. 15: mean over music beats.
-    BeatAlign,
-    /// The same with the music shifted at random.
-    BeatChance,
-    /// Beat align score less its chance level.
-    BeatMargin,
-    /// Mean over dance beats: not comparable with Eq. 15.
-    BeatAlignDance,
-    /// Minima of the smoothed speed per second.
-    DanceBeatsPerSecond,
-    /// Share of frames slower than 0.15 m/s.
-    SlowFrames,
-    /// Share of 5 s windows with at least a tenth of such frames.
-    SluggishWindows,
-    /// Share of such frames in the slowest 5 s window of all.
-    SlowestWindow,
-    /// Mean joint speed, m/s.
-    MeanSpeed,
-    /// Mean length of the third derivative, m/s^3.
-    Jerk,
-    /// Horizontal speed of standing feet, cm/s.
-    FootSkate,
-    /// Share of 2 s windows that a training take has, too.
-    Recitation,
-    /// Different codes of the upper body in all pieces.
-    CodesUpper,
-    /// Different codes of the lower body in all pieces.
-    CodesLower,
-    /// Entropy of the upper body's codes, bits.
-    EntropyUpper,
-    /// Entropy of the lower body's codes, bits.
-    EntropyLower,
-}
-
-/// What good is.
+/// The direction in which a metric improves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wanted {
+pub(crate) enum Wanted {
     /// Less is better.
     Low,
     /// More is better.
     High,
-    /// As the recordings.
+    /// The recordings' value is best.
     Alike,
 }
 
-/// Key, title, wanted direction and decimals.
-struct Row(Metric, &'static str, &'static str, Wanted, usize);
+/// Key in JSON, title in tables, wanted direction and decimals worth printing.
+struct Row(&'static str, &'static str, Wanted, usize);
 
-const ROWS: [Row; 20] = [
-    Row(Metric::FidK, "fid_k", "FID_k", Wanted::Low, 3),
-    Row(Metric::FidG, "fid_g", "FID_g", Wanted::Low, 3),
-    Row(Metric::DivK, "div_k", "Div_k", Wanted::Alike, 3),
-    Row(Metric::DivG, "div_g", "Div_g", Wanted::Alike, 3),
-    Row(
-        Metric::BeatAlign,
-        "beat_align",
-        "beat align score (Eq. 15)",
-        Wanted::High,
-        4,
-    ),
-    Row(
-        Metric::BeatChance,
-        "beat_chance",
-        "its chance level",
-        Wanted::Alike,
-        4,
-    ),
-    Row(
-        Metric::BeatMargin,
-        "beat_margin",
-        "margin over chance",
-        Wanted::High,
-        4,
-    ),
-    Row(
-        Metric::BeatAlignDance,
-        "beat_align_dance",
-        "beat score over dance beats",
-        Wanted::High,
-        4,
-    ),
-    Row(
-        Metric::DanceBeatsPerSecond,
-        "dance_beats_per_second",
-        "dance beats per second",
-        Wanted::Alike,
-        3,
-    ),
-    Row(
-        Metric::SlowFrames,
-        "slow_frames",
-        "share of frames below 0.15 m/s",
-        Wanted::Alike,
-        4,
-    ),
-    Row(
-        Metric::SluggishWindows,
-        "sluggish_windows",
-        "share of 5 s windows with a tenth of such frames",
-        Wanted::Low,
-        4,
-    ),
-    Row(
-        Metric::SlowestWindow,
-        "slowest_window",
-        "their share in the slowest 5 s window",
-        Wanted::Low,
-        4,
-    ),
-    Row(
-        Metric::MeanSpeed,
-        "mean_speed",
-        "mean joint speed, m/s",
-        Wanted::Alike,
-        3,
-    ),
-    Row(Metric::Jerk, "jerk", "jerk, m/s³", Wanted::Alike, 1),
-    Row(
-        Metric::FootSkate,
-        "foot_skate",
-        "foot skate, cm/s",
-        Wanted::Low,
-        2,
-    ),
-    Row(
-        Metric::Recitation,
-        "recitation",
-        "recited share of 2 s windows",
-        Wanted::Low,
-        4,
-    ),
-    Row(
-        Metric::CodesUpper,
-        "codes_upper",
-        "different codes, upper body",
-        Wanted::High,
-        1,
-    ),
-    Row(
-        Metric::CodesLower,
-        "codes_lower",
-        "different codes, lower body",
-        Wanted::High,
-        1,
-    ),
-    Row(
-        Metric::EntropyUpper,
-        "entropy_upper",
-        "entropy of codes, upper body, bits",
-        Wanted::High,
-        3,
-    ),
-    Row(
-        Metric::EntropyLower,
-        "entropy_lower",
-        "entropy of codes, lower body, bits",
-        Wanted::High,
-        3,
-    ),
-];
+macro_rules! metrics {
+    ($($doc:literal $name:ident $key:literal $title:literal $wanted:ident $decimals:literal)*) => {
+        /// A metric of a set of motions.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum Metric { $(#[doc = $doc] $name),* }
+
+        const METRICS: [Metric; ROWS.len()] = [$(Metric::$name),*];
+        const ROWS: &[Row] = &[$(Row($key, $title, Wanted::$wanted, $decimals)),*];
+    };
+}
+
+metrics! {
+    "Fréchet distance of kinetic features to the reference."
+    FidK "fid_k" "FID_k" Low 3
+    "Fréchet distance of geometric features to the reference."
+    FidG "fid_g" "FID_g" Low 3
+    "Mean distance of pairs in kinetic features."
+    DivK "div_k" "Div_k" Alike 3
+    "Mean distance of pairs in geometric features."
+    DivG "div_g" "Div_g" Alike 3
+    "Beat align score, Eq. 15: mean over music beats."
+    BeatAlign "beat_align" "beat align score (Eq. 15)" High 4
+    "The same with the music shifted at random."
+    BeatChance "beat_chance" "its chance level" Alike 4
+    "Beat align score less its chance level."
+    BeatMargin "beat_margin" "margin over chance" High 4
+    "Mean over dance beats: not comparable with Eq. 15."
+    BeatAlignDance "beat_align_dance" "beat score over dance beats" High 4
+    "Minima of the smoothed speed per second."
+    DanceBeatsPerSecond "dance_beats_per_second" "dance beats per second" Alike 3
+    "Share of frames slower than 0.15 m/s."
+    SlowFrames "slow_frames" "share of frames below 0.15 m/s" Alike 4
+    "Share of 5 s windows with at least a tenth of such frames."
+    SluggishWindows "sluggish_windows" "share of 5 s windows with a tenth of such frames" Low 4
+    "Share of such frames in the slowest 5 s window of all."
+    SlowestWindow "slowest_window" "their share in the slowest 5 s window" Low 4
+    "Mean joint speed, m/s."
+    MeanSpeed "mean_speed" "mean joint speed, m/s" Alike 3
+    "Mean length of the third derivative, m/s^3."
+    Jerk "jerk" "jerk, m/s³" Alike 1
+    "Horizontal speed of standing feet, cm/s."
+    FootSkate "foot_skate" "foot skate, cm/s" Low 2
+    "Share of 2 s windows that a training take has, too."
+    Recitation "recitation" "recited share of 2 s windows" Low 4
+    "Different codes of the upper body in all pieces."
+    CodesUpper "codes_upper" "different codes, upper body" High 1
+    "Different codes of the lower body in all pieces."
+    CodesLower "codes_lower" "different codes, lower body" High 1
+    "Entropy of the upper body's codes, bits."
+    EntropyUpper "entropy_upper" "entropy of codes, upper body, bits" High 3
+    "Entropy of the lower body's codes, bits."
+    EntropyLower "entropy_lower" "entropy of codes, lower body, bits" High 3
+}
 
 impl Metric {
     /// Every metric, in the order of tables.
     pub fn all() -> impl Iterator<Item = Self> {
-        ROWS.iter().map(|row| row.0)
-    }
-
-    fn row(self) -> &'static Row {
-        // Rows stand in the order of the cases; a test holds them to it.
-        &ROWS[self as usize]
+        METRICS.into_iter()
     }
 
     /// Its key in JSON.
     #[must_use]
     pub fn key(self) -> &'static str {
-        self.row().1
+        ROWS[self as usize].0
     }
 
     /// Its name in tables.
     #[must_use]
     pub fn title(self) -> &'static str {
-        self.row().2
+        ROWS[self as usize].1
     }
 
-    /// What good is.
-    #[must_use]
-    pub fn wanted(self) -> Wanted {
-        self.row().3
+    pub(crate) fn wanted(self) -> Wanted {
+        ROWS[self as usize].2
     }
 
-    /// Decimals worth printing.
-    #[must_use]
-    pub fn decimals(self) -> usize {
-        self.row().4
+    pub(crate) fn decimals(self) -> usize {
+        ROWS[self as usize].3
     }
 }
 
-/// What was measured on one set of dances.
+/// All metrics of one set of motions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scores {
-    /// Dances to a song.
+    /// Motions to a song.
     pub pieces: usize,
     /// Clips that distances and diversity were taken from.
     pub samples: usize,
@@ -221,7 +108,7 @@ pub struct Scores {
 }
 
 impl Scores {
-    pub(super) fn new(pieces: usize, samples: usize) -> Self {
+    pub(crate) fn new(pieces: usize, samples: usize) -> Self {
         Self {
             pieces,
             samples,
@@ -229,7 +116,7 @@ impl Scores {
         }
     }
 
-    pub(super) fn set(&mut self, metric: Metric, value: f64) {
+    pub(crate) fn set(&mut self, metric: Metric, value: f64) {
         self.values[metric as usize] = Some(value);
     }
 
@@ -249,17 +136,5 @@ impl Serialize for Scores {
         map.serialize_entry("pieces", &self.pieces)?;
         map.serialize_entry("samples", &self.samples)?;
         map.end()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rows_stand_in_the_order_of_the_cases() {
-        for (at, row) in ROWS.iter().enumerate() {
-            assert_eq!(row.0 as usize, at, "{}", row.1);
-        }
     }
 }

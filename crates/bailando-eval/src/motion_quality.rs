@@ -1,15 +1,15 @@
-//! What a beat score or a Fréchet distance hides: skating feet, jitter, standing still.
+//! Flaws that a beat score or a Fréchet distance hides: foot skate, jitter, freezes.
 
-use super::{
+use crate::{
     beats::speed,
     body::{
         FRAMES_PER_SECOND, JOINTS, Pose,
-        joint::{LEFT_TOES, RIGHT_TOES},
+        joint::{L_TOES, R_TOES},
     },
 };
 use bailando_motion::{dance_beats, slow_share};
 
-/// Speeds per window that is looked at for freezing: five seconds.
+/// Speeds per window in which freezes are looked for: five seconds.
 const WINDOW: usize = 300;
 /// Speeds from one such window to the next.
 const WINDOW_HOP: usize = 150;
@@ -40,7 +40,7 @@ pub struct MotionQuality {
 }
 
 impl MotionQuality {
-    /// Of a motion of at least [`super::SHORTEST_MOTION`] frames.
+    /// Measures a motion of at least 4 frames.
     #[must_use]
     pub fn new(poses: &[Pose]) -> Self {
         let speed = speed(poses);
@@ -48,7 +48,7 @@ impl MotionQuality {
         let windows = slow_shares_of_windows(&speed);
         let seconds = poses.len().max(1) as f64 / FRAMES_PER_SECOND;
         Self {
-            foot_skate: 0.5 * (foot_skate(poses, LEFT_TOES) + foot_skate(poses, RIGHT_TOES)),
+            foot_skate: 0.5 * (foot_skate(poses, L_TOES) + foot_skate(poses, R_TOES)),
             jerk: jerk(poses),
             mean_speed: speed.iter().sum::<f64>() / steps * FRAMES_PER_SECOND,
             slow_frames: slow_share(&speed, FRAMES_PER_SECOND),
@@ -73,42 +73,42 @@ fn slow_shares_of_windows(speed: &[f64]) -> Vec<f64> {
 }
 
 fn jerk(poses: &[Pose]) -> f64 {
-    let mut sum = 0.0;
-    for window in poses.windows(4) {
-        if let [a, b, c, d] = window {
-            let third = |joint: usize| d[joint] - 3.0 * c[joint] + 3.0 * b[joint] - a[joint];
-            sum += (0..JOINTS).map(|joint| third(joint).length()).sum::<f64>();
-        }
-    }
+    let third = |window: &[Pose], joint: usize| {
+        window[3][joint] - 3.0 * window[2][joint] + 3.0 * window[1][joint] - window[0][joint]
+    };
+    let lengths = poses.windows(4).map(|window| {
+        let joints = 0..JOINTS;
+        joints
+            .map(|joint| third(window, joint).length())
+            .sum::<f64>()
+    });
     let count = poses.len().saturating_sub(3).max(1) * JOINTS;
-    sum / count as f64 * FRAMES_PER_SECOND.powi(3)
+    lengths.sum::<f64>() / count as f64 * FRAMES_PER_SECOND.powi(3)
 }
 
-/// cm/s. A foot that never leaves its height stands all the time.
+/// Returns the median speed of a standing foot, cm/s. A foot of constant height always stands.
 fn foot_skate(poses: &[Pose], foot: usize) -> f64 {
     let mut heights: Vec<f64> = poses.iter().map(|pose| pose[foot].y).collect();
     heights.sort_by(f64::total_cmp);
     let limit = quantile(&heights, STANDING_SHARE);
-    let steps = || poses.iter().zip(poses.iter().skip(1));
-    let slide = |(before, now): (&Pose, &Pose)| {
-        let step = now[foot] - before[foot];
-        step.x.hypot(step.z) * FRAMES_PER_SECOND * 100.0
+    let slides = |stands: &dyn Fn(f64) -> bool| -> Vec<f64> {
+        let steps = poses.iter().zip(poses.iter().skip(1));
+        let standing = steps.filter(|(_, now)| stands(now[foot].y));
+        let slide = standing.map(|(before, now)| {
+            let step = now[foot] - before[foot];
+            step.x.hypot(step.z) * FRAMES_PER_SECOND * 100.0
+        });
+        slide.collect()
     };
-    let mut slides: Vec<f64> = steps()
-        .filter(|(_, now)| now[foot].y < limit)
-        .map(slide)
-        .collect();
-    if slides.is_empty() {
-        slides = steps()
-            .filter(|(_, now)| now[foot].y <= limit)
-            .map(slide)
-            .collect();
+    let mut speeds = slides(&|height| height < limit);
+    if speeds.is_empty() {
+        speeds = slides(&|height| height <= limit);
     }
-    slides.sort_by(f64::total_cmp);
-    quantile(&slides, 0.5)
+    speeds.sort_by(f64::total_cmp);
+    quantile(&speeds, 0.5)
 }
 
-/// Quantile of ascending values, linear between neighbours; 0 of none.
+/// Returns a quantile of ascending values, linear between neighbours; 0 of none.
 fn quantile(ascending: &[f64], share: f64) -> f64 {
     let place = share * ascending.len().saturating_sub(1) as f64;
     let below = place.floor();
@@ -125,20 +125,16 @@ mod tests {
     use glam::DVec3;
 
     use super::*;
+    use crate::testing::within;
 
     fn poses(frames: usize, place: impl Fn(f64, usize) -> DVec3) -> Vec<Pose> {
-        (0..frames)
-            .map(|frame| {
-                std::array::from_fn(|joint| place(frame as f64 / FRAMES_PER_SECOND, joint))
-            })
-            .collect()
+        let time = |frame: usize| frame as f64 / FRAMES_PER_SECOND;
+        let pose = |frame| std::array::from_fn(|joint| place(time(frame), joint));
+        (0..frames).map(pose).collect()
     }
 
     fn close(got: f64, expected: f64) {
-        assert!(
-            (got - expected).abs() < 1e-6 * expected.abs().max(1.0),
-            "{got} {expected}"
-        );
+        within(1e-6, got, expected);
     }
 
     #[test]
@@ -158,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_dance_that_stops_for_two_seconds_has_sluggish_windows() {
+    fn a_stop_of_two_seconds_makes_windows_sluggish() {
         // 20 s with a stop from 10.5 to 12.5 s: windows that begin at 7.5 and 10 s hold all of it.
         let stopped = poses(1201, |t, _| DVec3::X * (t - (t - 10.5).clamp(0.0, 2.0)));
         let quality = MotionQuality::new(&stopped);
@@ -175,7 +171,7 @@ mod tests {
         let step = poses(101, |t, joint| {
             let low = t < 0.5;
             let x = if low { 0.2 * t } else { 3.0 * t };
-            let side = if joint == RIGHT_TOES { 2.0 } else { 1.0 };
+            let side = if joint == R_TOES { 2.0 } else { 1.0 };
             DVec3::new(side * x, if low { 0.02 + 0.001 * t } else { 0.2 }, 0.0)
         });
         close(MotionQuality::new(&step).foot_skate, 0.5 * (20.0 + 40.0));
@@ -185,10 +181,10 @@ mod tests {
 
     #[test]
     fn quantiles_are_linear() {
-        assert_eq!(quantile(&[1.0, 2.0, 3.0, 5.0], 0.25), 1.75);
-        assert_eq!(quantile(&[1.0, 2.0, 3.0, 5.0], 0.5), 2.5);
-        assert_eq!(quantile(&[4.0], 0.25), 4.0);
-        assert_eq!(quantile(&[], 0.5), 0.0);
+        let four = [1.0, 2.0, 3.0, 5.0];
+        let found = [(&four[..], 0.25), (&four, 0.5), (&[4.0], 0.25), (&[], 0.5)];
+        let found = found.map(|(values, share)| quantile(values, share));
+        assert_eq!(found, [1.75, 2.5, 4.0, 0.0]);
     }
 
     #[test]

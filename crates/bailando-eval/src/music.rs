@@ -1,49 +1,43 @@
-//! Where the beats of the music come from.
+//! Beats of the music, by piece.
 
 use std::{
     collections::{BTreeMap, HashMap},
-    fmt, fs,
+    fs,
     path::{Path, PathBuf},
 };
 
 use serde::Deserialize;
 
-use super::{
-    EvaluationError,
+use crate::{
     body::FRAMES_PER_SECOND,
-    load::{entries, stem, text},
-    reference::Reference,
+    error::EvaluationError,
+    files::{entries, stem, text},
+    sets::Reference,
 };
 use bailando_audio::{self as audio, AudioLimits, AudioRange};
 use bailando_core::CancelToken;
 use bailando_features::{FeatureExtractor, Profile, Rate};
 
-/// Where beats come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BeatSource {
-    /// A file of beats.
-    File,
-    /// Column 53 of the features of the audio, as published.
-    Audio,
-    /// The counts that the data folder knows: not what published scores use.
-    Grid,
-}
-
-impl fmt::Display for BeatSource {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::File => "beats file",
-            Self::Audio => "column 53 of the audio's features",
-            Self::Grid => "grid_beats_s of the data folder",
-        })
-    }
+/// Source of the music beats.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum BeatsFrom {
+    /// The counts of the reference, where it is a data folder that has them: not the beats of
+    /// published scores.
+    #[default]
+    Reference,
+    /// A JSON file of frames by name.
+    File(PathBuf),
+    /// A folder of audio files: column 53 of their features, as published.
+    Audio(PathBuf),
+    /// The same, for songs that are no pieces of the reference; its own row has no beats then.
+    NewSongs(PathBuf),
 }
 
 /// Music beats of every piece, in frames at 60 a second, ascending.
 #[derive(Clone, Debug)]
-pub struct MusicBeats {
-    /// Where they come from.
-    pub source: BeatSource,
+pub(crate) struct MusicBeats {
+    /// Their source, in words.
+    pub(crate) source: &'static str,
     by_piece: BTreeMap<String, Vec<usize>>,
 }
 
@@ -56,92 +50,48 @@ enum BeatsFile {
 }
 
 impl MusicBeats {
-    /// Beats of `pieces` from a JSON file: frames by piece id, audio file name or its stem.
+    /// Finds the beats of `pieces`; none where the reference has no counts of a piece.
     ///
     /// # Errors
-    /// [`EvaluationError`] if the file is none or a piece is not in it.
-    pub fn from_file<'a>(
-        path: &Path,
+    /// [`EvaluationError`] if a file can't be read or decoded, or has no beats of a piece.
+    pub(crate) fn find<'a>(
+        from: &BeatsFrom,
         pieces: impl IntoIterator<Item = &'a str>,
         reference: &Reference,
-    ) -> Result<Self, EvaluationError> {
-        let table = match serde_json::from_str(&text(path)?) {
-            Ok(BeatsFile::Named { beats } | BeatsFile::Bare(beats)) => beats,
-            Err(_) => {
-                return Err(EvaluationError::File {
-                    path: path.to_owned(),
-                    problem: "it is no table of beats: {\"beats\": {name: [frame, ..]}}".into(),
+    ) -> Result<Option<Self>, EvaluationError> {
+        match from {
+            BeatsFrom::Reference => {
+                let source = "grid_beats_s of the data folder";
+                Ok(Self::collect(source, pieces, |id| grid(id, reference).ok_or(())).ok())
+            }
+            BeatsFrom::File(path) => {
+                let table = beats_file(path)?;
+                let beats = Self::collect("beats file", pieces, |id| {
+                    let names = names(id, reference);
+                    let beats = names.iter().find_map(|name| table.get(name)).cloned();
+                    beats.ok_or_else(|| missing(id, path, "none of", &names))
                 });
+                beats.map(Some)
             }
-        };
-        Self::collect(BeatSource::File, pieces, |id| {
-            let names = names(id, reference);
-            names
-                .iter()
-                .find_map(|name| table.get(name))
-                .cloned()
-                .ok_or_else(|| {
-                    missing(
-                        id,
-                        format!("{} has none of {}", path.display(), names.join(", ")),
-                    )
-                })
-        })
-    }
-
-    /// Beats of `pieces` heard in the audio files of a folder, found by stem: the piece's id, or
-    /// the name that the data folder gives.
-    ///
-    /// # Errors
-    /// [`EvaluationError`] if a piece has no audio file, or it can't be decoded.
-    pub fn from_audio<'a>(
-        folder: &Path,
-        pieces: impl IntoIterator<Item = &'a str>,
-        reference: &Reference,
-    ) -> Result<Self, EvaluationError> {
-        let mut ear = Ear::new(folder)?;
-        Self::collect(BeatSource::Audio, pieces, |id| {
-            let names = names(id, reference);
-            match names.iter().find_map(|name| ear.files.get(name)).cloned() {
-                Some(path) => ear.beats(&path),
-                None => {
-                    let places = names.join(", ");
-                    Err(missing(
-                        id,
-                        format!("{} has no audio named {places}", folder.display()),
-                    ))
-                }
+            BeatsFrom::Audio(folder) | BeatsFrom::NewSongs(folder) => {
+                let mut songs = SongBeats::new(folder)?;
+                let beats = Self::collect("column 53 of the audio's features", pieces, |id| {
+                    let names = names(id, reference);
+                    match names.iter().find_map(|name| songs.files.get(name)).cloned() {
+                        Some(path) => songs.beats(&path),
+                        None => Err(missing(id, folder, "no audio named", &names)),
+                    }
+                });
+                beats.map(Some)
             }
-        })
+        }
     }
 
-    /// The counts of the data folder; none where a piece has no counts.
-    #[must_use]
-    pub fn from_grid<'a>(
+    fn collect<'a, E>(
+        source: &'static str,
         pieces: impl IntoIterator<Item = &'a str>,
-        reference: &Reference,
-    ) -> Option<Self> {
-        let grid = |id: &str| -> Option<Vec<usize>> {
-            let seconds = &reference.info(id)?.grid_beats_s;
-            let frames = seconds
-                .iter()
-                .map(|s| (s * FRAMES_PER_SECOND).round_ties_even());
-            let frames = frames
-                .filter(|frame| *frame >= 0.0)
-                .map(|frame| frame as usize);
-            (!seconds.is_empty()).then(|| frames.collect())
-        };
-        Self::collect(BeatSource::Grid, pieces, |id| {
-            grid(id).ok_or_else(|| missing(id, String::new()))
-        })
-        .ok()
-    }
-
-    fn collect<'a>(
-        source: BeatSource,
-        pieces: impl IntoIterator<Item = &'a str>,
-        mut find: impl FnMut(&str) -> Result<Vec<usize>, EvaluationError>,
-    ) -> Result<Self, EvaluationError> {
+        mut find: impl FnMut(&str) -> Result<Vec<usize>, E>,
+    ) -> Result<Self, E> {
         let mut by_piece = BTreeMap::new();
         for id in pieces {
             if !by_piece.contains_key(id) {
@@ -153,14 +103,33 @@ impl MusicBeats {
         Ok(Self { source, by_piece })
     }
 
-    /// Beats of a piece; empty for one that was not asked about.
-    #[must_use]
-    pub fn of(&self, id: &str) -> &[usize] {
+    /// Returns the beats of a piece; none of a piece that was not looked for.
+    pub(crate) fn of(&self, id: &str) -> &[usize] {
         self.by_piece.get(id).map_or(&[], Vec::as_slice)
     }
 }
 
-/// What a piece's music may be called: its id, its audio file and that file's stem.
+/// Returns the counts of a piece in the data folder.
+fn grid(id: &str, reference: &Reference) -> Option<Vec<usize>> {
+    let seconds = &reference.info(id)?.grid_beats_s;
+    let frames = seconds
+        .iter()
+        .map(|s| (s * FRAMES_PER_SECOND).round_ties_even());
+    let frames = frames.filter(|frame| *frame >= 0.0);
+    (!seconds.is_empty()).then(|| frames.map(|frame| frame as usize).collect())
+}
+
+fn beats_file(path: &Path) -> Result<BTreeMap<String, Vec<usize>>, EvaluationError> {
+    match serde_json::from_str(&text(path)?) {
+        Ok(BeatsFile::Named { beats } | BeatsFile::Bare(beats)) => Ok(beats),
+        Err(_) => {
+            let problem = "it is no table of beats: {\"beats\": {name: [frame, ..]}}";
+            Err(EvaluationError::file(path, problem))
+        }
+    }
+}
+
+/// The names that a piece's music may have: its id, its audio file and that file's stem.
 fn names(id: &str, reference: &Reference) -> Vec<String> {
     let mut names = vec![id.to_owned()];
     if let Some(audio) = reference.info(id).and_then(|piece| piece.audio.as_deref()) {
@@ -170,21 +139,21 @@ fn names(id: &str, reference: &Reference) -> Vec<String> {
     names
 }
 
-fn missing(piece: &str, problem: String) -> EvaluationError {
+fn missing(piece: &str, place: &Path, lacks: &str, names: &[String]) -> EvaluationError {
     EvaluationError::Beats {
         piece: piece.to_owned(),
-        problem,
+        problem: format!("{} has {lacks} {}", place.display(), names.join(", ")),
     }
 }
 
-/// Hears the beats of audio files, each file once.
-struct Ear {
+/// Beats of the audio files in a folder, each file decoded once.
+struct SongBeats {
     files: HashMap<String, PathBuf>,
     extractor: FeatureExtractor,
-    heard: HashMap<PathBuf, Vec<usize>>,
+    known: HashMap<PathBuf, Vec<usize>>,
 }
 
-impl Ear {
+impl SongBeats {
     fn new(folder: &Path) -> Result<Self, EvaluationError> {
         const EXTENSIONS: [&str; 8] = ["wav", "flac", "mp3", "ogg", "oga", "m4a", "mp4", "aac"];
         let is_audio = |path: &PathBuf| {
@@ -195,36 +164,22 @@ impl Ear {
         Ok(Self {
             files: files.map(|path| (stem(&path), path)).collect(),
             extractor: FeatureExtractor::new(Rate::Beats, Profile::Librosa011),
-            heard: HashMap::new(),
+            known: HashMap::new(),
         })
     }
 
     fn beats(&mut self, path: &Path) -> Result<Vec<usize>, EvaluationError> {
-        if let Some(beats) = self.heard.get(path) {
+        if let Some(beats) = self.known.get(path) {
             return Ok(beats.clone());
         }
-        let fail = |problem: String| EvaluationError::File {
-            path: path.to_owned(),
-            problem,
-        };
-        let bytes = fs::read(path).map_err(|source| EvaluationError::Io {
-            path: path.to_owned(),
-            source,
-        })?;
-        let decoded = audio::decode(
-            bytes.into(),
-            AudioRange::default(),
-            &[Rate::Beats.hz()],
-            &AudioLimits::default(),
-            &CancelToken::new(),
-        )
-        .map_err(|error| fail(error.to_string()))?;
-        let signal = decoded.signals.first().map_or(&[][..], Vec::as_slice);
-        let beats = self
-            .extractor
-            .beats(signal)
-            .map_err(|error| fail(error.to_string()))?;
-        self.heard.insert(path.to_owned(), beats.frames.clone());
+        let bytes = fs::read(path).map_err(EvaluationError::io(path))?;
+        let (range, limits) = (AudioRange::default(), AudioLimits::default());
+        let rates = [Rate::Beats.hz()];
+        let decoded = audio::decode(bytes.into(), range, &rates, &limits, &CancelToken::new())
+            .map_err(|error| EvaluationError::file(path, error.to_string()))?;
+        let beats = self.extractor.beats(&decoded.signals[0]);
+        let beats = beats.map_err(|error| EvaluationError::file(path, error.to_string()))?;
+        self.known.insert(path.to_owned(), beats.frames.clone());
         Ok(beats.frames)
     }
 }

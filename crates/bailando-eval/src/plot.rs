@@ -1,4 +1,4 @@
-//! A plot of generated dances relative to recordings.
+//! A plot of generated motions relative to recordings.
 
 use std::fmt::Display;
 
@@ -10,7 +10,7 @@ use plotters::{
     style::{BLACK, Color, RGBColor, WHITE},
 };
 
-use super::{EvaluationError, metric::Metric, report::Report};
+use crate::{error::EvaluationError, metric::Metric, report::Report};
 
 const WIDTH: u32 = 900;
 const ROW_HEIGHT: u32 = 30;
@@ -29,15 +29,15 @@ struct Row {
 }
 
 impl Report {
-    /// An SVG: every metric of the generated dances divided by that of the recordings, on a
-    /// logarithmic axis, with its 95 % interval where there are several sets. Metrics that are not
-    /// above zero on both sides have no place on such an axis and are left out.
+    /// Draws every metric of the generated motions divided by that of the recordings as an SVG, on
+    /// a logarithmic axis, with its 95 % interval where there are several sets. A metric that is
+    /// not above zero on both sides has no place on such an axis and is left out.
     ///
     /// # Errors
     /// [`EvaluationError::Plot`] if there is nothing to show, or it can't be drawn.
     pub fn svg(&self) -> Result<String, EvaluationError> {
         let rows: Vec<Row> = Metric::all()
-            .filter_map(|metric| self.row(metric))
+            .filter_map(|metric| self.ratio(metric))
             .collect();
         if rows.is_empty() {
             return Err(EvaluationError::Plot("no metric has a ratio".into()));
@@ -47,7 +47,7 @@ impl Report {
         Ok(svg)
     }
 
-    fn row(&self, metric: Metric) -> Option<Row> {
+    fn ratio(&self, metric: Metric) -> Option<Row> {
         let recorded = self.reference.get(metric).filter(|value| *value > 0.0)?;
         let generated = self.generated.get(metric).filter(|value| *value > 0.0)?;
         let margin = self.margin95.get(metric.key()).copied().unwrap_or(0.0);
@@ -62,27 +62,20 @@ impl Report {
     }
 
     fn draw(&self, rows: &[Row], svg: &mut String) -> Result<(), String> {
-        let farthest = rows
-            .iter()
-            .flat_map(|row| row.ends)
-            .map(|end| end.max(1.0 / end));
+        let ends = rows.iter().flat_map(|row| row.ends);
+        let farthest = ends.map(|end| end.max(1.0 / end));
         let limit = 1.1 * farthest.fold(NARROWEST, f64::max);
         let size = (WIDTH, FRAME_HEIGHT + ROW_HEIGHT * rows.len() as u32);
         let area = SVGBackend::with_string(svg, size).into_drawing_area();
         area.fill(&WHITE).map_err(text)?;
-        let axes = (
-            (1.0 / limit..limit).log_scale(),
-            (0..rows.len()).into_segmented(),
-        );
+        let ratios = (1.0 / limit..limit).log_scale();
+        let caption = "Generated motions relative to recordings";
         let mut chart = ChartBuilder::on(&area)
-            .caption(
-                "Generated dances relative to recordings",
-                ("sans-serif", 20),
-            )
+            .caption(caption, ("sans-serif", 20))
             .margin(12)
             .x_label_area_size(48)
             .y_label_area_size(LABELS_WIDTH)
-            .build_cartesian_2d(axes.0, axes.1)
+            .build_cartesian_2d(ratios, (0..rows.len()).into_segmented())
             .map_err(text)?;
         // The first row on top.
         let row_at = |place: usize| rows.get(rows.len().checked_sub(place + 1)?);
@@ -101,9 +94,8 @@ impl Report {
             .map_err(text)?;
         let middle = SegmentValue::CenterOf;
         let one = [(1.0, SegmentValue::Exact(0)), (1.0, SegmentValue::Last)];
-        chart
-            .draw_series([PathElement::new(one, BLACK)])
-            .map_err(text)?;
+        let line = PathElement::new(one, BLACK);
+        chart.draw_series([line]).map_err(text)?;
         for place in 0..rows.len() {
             if let Some(row) = row_at(place) {
                 let interval = row.ends.map(|end| (end, middle(place))).to_vec();

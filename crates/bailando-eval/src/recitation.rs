@@ -1,26 +1,26 @@
-//! Does a dance recite what it was trained on? METRICS.md, "Recitation".
+//! The share of a motion that repeats a training take (METRICS.md, "Recitation").
 
-use super::body::{
+use crate::body::{
     JOINTS, Motion, Pose,
-    joint::{LEFT_HIP, LEFT_SHOULDER, RIGHT_HIP, RIGHT_SHOULDER, ROOT},
+    joint::{L_HIP, L_SHOULDER, R_HIP, R_SHOULDER, ROOT},
 };
 
 /// Frames of a window: 2 s.
 const WINDOW: usize = 120;
-/// Frames from one window that is asked about to the next: 1 s.
+/// Frames from one window of a measured motion to the next: 1 s.
 const STRIDE: usize = 60;
 /// Frames of a part of a window, whose mean poses rule out most comparisons.
 const PART: usize = 30;
-/// Mean joint distance below which a window is the same, metres.
+/// Mean joint distance up to which two windows are the same, metres.
 const SAME: f32 = 0.05;
 
-/// Coordinates x, y, z of all joints: one axis after the other, so that distances are computed many
-/// at a time.
+/// Coordinates x, y, z of all joints, one axis after the other, so that the compiler computes many
+/// distances at a time.
 type Flat = [[f32; JOINTS]; 3];
 
-/// Motions that may be recited: every window of them, at any frame.
+/// Every window, at any frame, of the motions that a model was trained on.
 #[derive(Clone, Debug, Default)]
-pub struct Repertoire {
+pub(crate) struct TrainingTakes {
     takes: Vec<Take>,
 }
 
@@ -31,25 +31,22 @@ struct Take {
     parts: Vec<Flat>,
     /// Mean pose of the `WINDOW` frames from each frame on.
     windows: Vec<Flat>,
-    /// How far that mean pose has travelled since the first frame.
+    /// Distance that this mean pose has travelled since the first frame.
     travelled: Vec<f64>,
 }
 
-impl Repertoire {
-    /// Of these motions; those shorter than 2 s have no window.
-    pub fn new<'a>(takes: impl IntoIterator<Item = &'a Motion>) -> Self {
-        let takes = takes
-            .into_iter()
-            .map(|take| Take::new(take.poses()))
-            .collect();
-        Self { takes }
+impl TrainingTakes {
+    /// Indexes some motions; those shorter than 2 s have no window.
+    pub(crate) fn new<'a>(takes: impl IntoIterator<Item = &'a Motion>) -> Self {
+        let takes = takes.into_iter().map(|take| Take::new(take.poses()));
+        Self {
+            takes: takes.collect(),
+        }
     }
 
-    /// How many of the 2 s windows of a motion (one a second) lie within 5 cm mean joint distance
-    /// of a window of the repertoire, root and facing removed frame by frame; and how many windows
-    /// there are.
-    #[must_use]
-    pub fn recited(&self, poses: &[Pose]) -> (usize, usize) {
+    /// Counts the 2 s windows of a motion, one a second: those within 5 cm mean joint distance of
+    /// any window of a take, root and heading removed frame by frame, and all.
+    pub(crate) fn recited(&self, poses: &[Pose]) -> (usize, usize) {
         let motion = Take::new(poses);
         let starts = (0..motion.windows.len()).step_by(STRIDE);
         let windows = starts.len();
@@ -60,7 +57,7 @@ impl Repertoire {
 
 impl Take {
     fn new(poses: &[Pose]) -> Self {
-        let poses: Vec<Flat> = poses.iter().map(without_root_and_facing).collect();
+        let poses: Vec<Flat> = poses.iter().map(without_root_and_heading).collect();
         let windows = running_means(&poses, WINDOW);
         let mut travelled = Vec::with_capacity(windows.len());
         let mut so_far = 0.0;
@@ -76,10 +73,10 @@ impl Take {
         }
     }
 
-    /// Whether any window of this take is the one of `other` at `start`.
+    /// Whether any window of this take is the same as that of `other` at `start`.
     ///
     /// The mean distance of two windows is never less than the distance of their mean poses, and
-    /// mean poses travel slowly: one that is far off stays too far for many frames.
+    /// mean poses travel slowly: a distant one stays too far for many frames.
     fn holds(&self, other: &Self, start: usize) -> bool {
         let wanted = &other.windows[start];
         let mut own = 0;
@@ -114,14 +111,13 @@ impl Take {
     }
 }
 
-/// The pose with its root at the origin, turned so that its left points along x.
-fn without_root_and_facing(pose: &Pose) -> Flat {
-    let across = pose[LEFT_HIP] - pose[RIGHT_HIP] + pose[LEFT_SHOULDER] - pose[RIGHT_SHOULDER];
+/// Moves the root to the origin, and turns the pose so that its left points along x.
+fn without_root_and_heading(pose: &Pose) -> Flat {
+    let across = pose[L_HIP] - pose[R_HIP] + pose[L_SHOULDER] - pose[R_SHOULDER];
     let length = across.x.hypot(across.z);
-    let (cosine, sine) = if length > 1e-9 {
-        (across.x / length, across.z / length)
-    } else {
-        (1.0, 0.0)
+    let (cosine, sine) = match length > 1e-9 {
+        true => (across.x / length, across.z / length),
+        false => (1.0, 0.0),
     };
     let mut flat = [[0.0; JOINTS]; 3];
     for (joint, &place) in pose.iter().enumerate() {
@@ -144,7 +140,7 @@ fn distance(a: &Flat, b: &Flat) -> f32 {
     squares.iter().map(|square| square.sqrt()).sum::<f32>() / JOINTS as f32
 }
 
-/// Mean of the `length` poses from each frame on; summed in doubles, so that nothing drifts.
+/// Returns the mean of the `length` poses from each frame on, summed in doubles against drift.
 fn running_means(poses: &[Flat], length: usize) -> Vec<Flat> {
     if poses.len() < length {
         return Vec::new();
@@ -178,7 +174,7 @@ mod tests {
 
     use super::*;
 
-    /// A person of random sways: smooth, never repeating.
+    /// Random sways of all joints: smooth, never repeating.
     fn dance(frames: usize, seed: u64) -> Vec<Pose> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut draw = || random.random_range(0.5..2.5_f64);
@@ -201,48 +197,48 @@ mod tests {
     }
 
     #[test]
-    fn a_take_is_recognised_wherever_and_however_it_is_turned() {
+    fn a_take_is_recognised_at_any_place_and_heading() {
         let take = dance(600, 1);
-        let repertoire = Repertoire::new([&motion(&dance(500, 2)), &motion(&take)]);
+        let known = TrainingTakes::new([&motion(&dance(500, 2)), &motion(&take)]);
         let turn = DQuat::from_rotation_y(2.1);
         let elsewhere: Vec<Pose> = take[37..400]
             .iter()
             .map(|pose| pose.map(|place| turn * place + DVec3::new(3.0, 0.2, -1.0)))
             .collect();
-        assert_eq!(repertoire.recited(&elsewhere), (5, 5));
-        assert_eq!(repertoire.recited(&dance(363, 3)), (0, 5));
-        assert_eq!(repertoire.recited(&take[..119]), (0, 0));
+        assert_eq!(known.recited(&elsewhere), (5, 5));
+        assert_eq!(known.recited(&dance(363, 3)), (0, 5));
+        assert_eq!(known.recited(&take[..119]), (0, 0));
     }
 
     #[test]
     fn the_limit_is_a_mean_distance_of_5_cm() {
         let take = dance(300, 4);
-        let repertoire = Repertoire::new([&motion(&take)]);
-        // Moving half of the joints by twice the distance; none of them sets root or facing.
+        let known = TrainingTakes::new([&motion(&take)]);
+        // Half of the joints move by twice the distance; none of them sets root or heading.
         let off = |by: f64| -> Vec<Pose> {
             let shift = |pose: &Pose| {
                 let mut pose = *pose;
-                for joint in [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14] {
+                for joint in 3..=14 {
                     pose[joint].y += 2.0 * by;
                 }
                 pose
             };
             take.iter().map(shift).collect()
         };
-        assert_eq!(repertoire.recited(&off(0.0495)).0, 4);
-        assert_eq!(repertoire.recited(&off(0.0505)).0, 0);
+        assert_eq!(known.recited(&off(0.0495)).0, 4);
+        assert_eq!(known.recited(&off(0.0505)).0, 0);
     }
 
-    /// Against the definition without any shortcut, on windows around the limit.
+    /// Compares with the definition, without any shortcut, on windows around the limit.
     #[test]
     fn shortcuts_never_change_the_answer() {
         let take = dance(400, 5);
-        let repertoire = Repertoire::new([&motion(&take)]);
+        let known = TrainingTakes::new([&motion(&take)]);
         let exact = |poses: &[Pose], start: usize| {
             let mean = |own: usize| {
                 let frames = (0..WINDOW).map(|at| {
-                    let one = without_root_and_facing(&take[own + at]);
-                    distance(&one, &without_root_and_facing(&poses[start + at]))
+                    let one = without_root_and_heading(&take[own + at]);
+                    distance(&one, &without_root_and_heading(&poses[start + at]))
                 });
                 frames.sum::<f32>() / WINDOW as f32
             };
@@ -250,7 +246,7 @@ mod tests {
         };
         let mut recited = 0;
         for shift in 0..12 {
-            // Later and later in the take, ever more of another dance mixed in.
+            // Ever later in the take, with ever more of another motion mixed in.
             let share = f64::from(shift) * 0.05;
             let mix = |(one, other): (&Pose, &Pose)| {
                 std::array::from_fn(|joint| one[joint].lerp(other[joint], share))
@@ -263,12 +259,10 @@ mod tests {
                 .collect();
             let starts = (0..=poses.len() - WINDOW).step_by(STRIDE);
             let expected = starts.filter(|&start| exact(&poses, start)).count();
-            assert_eq!(repertoire.recited(&poses).0, expected, "{shift}");
+            assert_eq!(known.recited(&poses).0, expected, "{shift}");
             recited += expected;
         }
-        assert!(
-            recited > 4 && recited < 40,
-            "{recited}: all or nothing tests little"
-        );
+        let some = recited > 4 && recited < 40;
+        assert!(some, "{recited}: all or nothing tests little");
     }
 }

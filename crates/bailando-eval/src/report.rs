@@ -1,23 +1,23 @@
-//! What an evaluation found, as JSON or as a Markdown table.
+//! The result of an evaluation, as JSON or as a Markdown table.
 
 use std::{collections::BTreeMap, fmt::Write};
 
 use serde::Serialize;
 
-use super::{
+use crate::{
     interval::mean_and_margin,
     metric::{Metric, Scores, Wanted},
 };
 
-/// How an evaluation measured.
+/// The measuring of an evaluation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Protocol {
-    /// Which parts of a motion are samples, in words.
+    /// The parts of a motion that are samples, in words.
     pub clips: String,
     /// `published` or `corrected` (not comparable with published figures).
     pub kinetic: &'static str,
-    /// Where music beats come from, in words; none: there are none.
-    pub beats: Option<String>,
+    /// The source of the music beats, in words; none: there are none.
+    pub beats: Option<&'static str>,
     /// Samples of the reference.
     pub reference_samples: usize,
     /// Kinetic columns left out because they are constant in the reference.
@@ -28,30 +28,30 @@ pub struct Protocol {
     pub chance_seed: u64,
 }
 
-/// What an evaluation found.
+/// The result of an evaluation.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// Generated dances; with several sets, the mean of each metric.
+    /// Generated motions; with several sets, the mean of each metric.
     #[serde(flatten)]
     pub generated: Scores,
     /// Half the width of the 95 % confidence interval of the mean over the sets, by metric; empty
     /// for one set.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub margin95: BTreeMap<&'static str, f64>,
-    /// Each set by itself, where there are several.
+    /// Each set alone, where there are several.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub sets: Vec<Scores>,
     /// The reference's own test pieces against the whole reference.
     pub reference: Scores,
-    /// How it was measured.
+    /// The measuring.
     pub protocol: Protocol,
-    /// What a reader should know before comparing, in plain words.
+    /// Facts to know before comparing, in plain words.
     pub warnings: Vec<String>,
 }
 
 impl Report {
-    /// Of one or more generated sets, each from another seed.
-    pub(super) fn new(
+    /// Takes the scores of one or more generated sets, each from another seed.
+    pub(crate) fn new(
         sets: Vec<Scores>,
         reference: Scores,
         protocol: Protocol,
@@ -81,7 +81,7 @@ impl Report {
         }
     }
 
-    /// A Markdown table, one metric a row, with how it was measured below.
+    /// Writes a Markdown table, one metric a row, and the measuring below it.
     #[must_use]
     pub fn markdown(&self) -> String {
         let mut text = String::new();
@@ -91,54 +91,50 @@ impl Report {
     }
 
     fn table(&self, text: &mut String) -> std::fmt::Result {
-        match self.sets.len() {
-            0 => writeln!(text, "| metric | reference | generated |")?,
-            sets => writeln!(
-                text,
-                "| metric | reference | generated, {sets} sets (± 95 %) |"
-            )?,
-        }
-        writeln!(text, "|---|---|---|")?;
-        let rows = [("pieces", self.reference.pieces, self.generated.pieces)];
-        let samples = ("samples", self.reference.samples, self.generated.samples);
-        for (title, reference, generated) in rows.into_iter().chain([samples]) {
-            writeln!(text, "| {title} | {reference} | {generated} |")?;
-        }
-        for metric in Metric::all() {
-            let cell = |scores: &Scores| match scores.get(metric) {
-                Some(value) => format!("{value:.*}", metric.decimals()),
-                None => "–".to_owned(),
-            };
-            let margin = match self.margin95.get(metric.key()) {
-                Some(margin) => format!(" ± {margin:.*}", metric.decimals()),
-                None => String::new(),
-            };
-            if self.reference.get(metric).is_some() || self.generated.get(metric).is_some() {
-                let wanted = match metric.wanted() {
-                    Wanted::Low => " ↓",
-                    Wanted::High => " ↑",
-                    Wanted::Alike => "",
-                };
-                let (title, reference) = (metric.title(), cell(&self.reference));
-                let generated = cell(&self.generated);
-                let worst = self.worst(metric);
-                writeln!(
-                    text,
-                    "| {title}{wanted} | {reference} | {generated}{margin}{worst} |"
-                )?;
-            }
-        }
-        Ok(())
+        let generated = match self.sets.len() {
+            0 => "generated".to_owned(),
+            sets => format!("generated, {sets} sets (± 95 %)"),
+        };
+        writeln!(text, "| metric | reference | {generated} |\n|---|---|---|")?;
+        let [reference, generated] = [&self.reference, &self.generated];
+        writeln!(
+            text,
+            "| pieces | {} | {} |",
+            reference.pieces, generated.pieces
+        )?;
+        writeln!(
+            text,
+            "| samples | {} | {} |",
+            reference.samples, generated.samples
+        )?;
+        let all = [reference, generated];
+        Metric::all()
+            .filter(|&metric| all.iter().any(|scores| scores.get(metric).is_some()))
+            .try_for_each(|metric| self.row(text, metric))
     }
 
-    /// The largest of all sets, of a metric that is itself about the worst case: a mean would hide it.
-    fn worst(&self, metric: Metric) -> String {
+    fn row(&self, text: &mut String, metric: Metric) -> std::fmt::Result {
+        let (title, decimals) = (metric.title(), metric.decimals());
+        let wanted = match metric.wanted() {
+            Wanted::Low => " ↓",
+            Wanted::High => " ↑",
+            Wanted::Alike => "",
+        };
+        let [reference, generated] = [&self.reference, &self.generated].map(|scores| {
+            let value = scores.get(metric);
+            value.map_or("–".into(), |value| format!("{value:.decimals$}"))
+        });
+        write!(text, "| {title}{wanted} | {reference} | {generated}")?;
+        if let Some(margin) = self.margin95.get(metric.key()) {
+            write!(text, " ± {margin:.decimals$}")?;
+        }
+        // This metric is about the worst case, which a mean over the sets would hide.
         let largest = self.sets.iter().filter_map(|set| set.get(metric));
         match largest.reduce(f64::max) {
             Some(largest) if metric == Metric::SlowestWindow => {
-                format!(", {largest:.*} at most", metric.decimals())
+                writeln!(text, ", {largest:.decimals$} at most |")
             }
-            _ => String::new(),
+            _ => writeln!(text, " |"),
         }
     }
 
@@ -150,20 +146,17 @@ impl Report {
             protocol.clips,
             protocol.reference_samples,
             protocol.kinetic,
-            protocol.beats.as_deref().unwrap_or("none given")
+            protocol.beats.unwrap_or("none given")
         )?;
-        let constant = [
+        for (name, columns) in [
             ("kinetic", &protocol.constant_kinetic_columns),
             ("geometric", &protocol.constant_geometric_columns),
-        ];
-        for (name, columns) in constant {
+        ] {
             if !columns.is_empty() {
-                let list: Vec<String> = columns.iter().map(usize::to_string).collect();
-                let list = list.join(", ");
-                writeln!(
-                    text,
-                    "Left out as constant in the reference: {name} columns {list}."
-                )?;
+                let columns: Vec<String> = columns.iter().map(usize::to_string).collect();
+                let columns = columns.join(", ");
+                let left_out = "Left out as constant in the reference";
+                writeln!(text, "{left_out}: {name} columns {columns}.")?;
             }
         }
         self.warnings
@@ -176,11 +169,10 @@ impl Report {
 mod tests {
     use super::*;
 
-    fn scores(fid: f64, beat: Option<f64>) -> Scores {
+    fn scores(values: &[(Metric, f64)]) -> Scores {
         let mut scores = Scores::new(42, 406);
-        scores.set(Metric::FidK, fid);
-        if let Some(beat) = beat {
-            scores.set(Metric::BeatAlign, beat);
+        for &(metric, value) in values {
+            scores.set(metric, value);
         }
         scores
     }
@@ -195,65 +187,56 @@ mod tests {
             constant_geometric_columns: vec![2, 28],
             chance_seed: 0,
         };
-        Report::new(
-            sets,
-            scores(12.5, Some(0.2)),
-            protocol,
-            vec!["a word".into()],
-        )
+        let reference = scores(&[(Metric::FidK, 12.5), (Metric::BeatAlign, 0.2)]);
+        Report::new(sets, reference, protocol, vec!["a word".into()])
+    }
+
+    fn assert_contains(text: &str, lines: &[&str]) {
+        for line in lines {
+            assert!(text.contains(line), "{line} in {text}");
+        }
     }
 
     #[test]
     fn one_set_has_no_interval() {
-        let report = report(vec![scores(26.0, Some(0.17))]);
+        let set = scores(&[(Metric::FidK, 26.0), (Metric::BeatAlign, 0.17)]);
+        let report = report(vec![set]);
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!(json["fid_k"], 26.0);
         assert_eq!(json["beat_align"], 0.17);
         assert_eq!(json["reference"]["fid_k"], 12.5);
         assert!(json["fid_g"].is_null() && json.get("margin95").is_none());
         let text = report.markdown();
-        assert!(text.contains("| FID_k ↓ | 12.500 | 26.000 |\n"), "{text}");
-        assert!(text.contains("geometric columns 2, 28.") && text.ends_with("Note: a word.\n"));
+        let row = "| FID_k ↓ | 12.500 | 26.000 |\n";
+        assert_contains(&text, &[row, "geometric columns 2, 28."]);
+        assert!(text.ends_with("Note: a word.\n"));
     }
 
     #[test]
     fn several_sets_are_a_mean_with_its_margin() {
-        let mut sets = vec![scores(24.0, None), scores(26.0, Some(0.1))];
-        for (set, slowest) in sets.iter_mut().zip([0.3, 0.1]) {
-            set.set(Metric::SlowestWindow, slowest);
-        }
-        let report = report(sets);
+        let slowest = Metric::SlowestWindow;
+        let report = report(vec![
+            scores(&[(Metric::FidK, 24.0), (slowest, 0.3)]),
+            scores(&[
+                (Metric::FidK, 26.0),
+                (slowest, 0.1),
+                (Metric::BeatAlign, 0.1),
+            ]),
+        ]);
         assert_eq!(report.generated.get(Metric::FidK), Some(25.0));
         // Not known of all sets.
         assert_eq!(report.generated.get(Metric::BeatAlign), None);
         let plot = report.svg().unwrap();
-        assert!(
-            plot.contains("FID_k") && plot.contains("mean of 2 sets"),
-            "{plot}"
-        );
-        assert!(
-            !plot.contains("beat align"),
-            "a metric without a ratio is left out"
-        );
-        let text = report.markdown();
-        assert!(
-            text.contains("| FID_k ↓ | 12.500 | 25.000 ± 12.706 |\n"),
-            "{text}"
-        );
-        assert!(
-            text.contains("| beat align score (Eq. 15) ↑ | 0.2000 | – |\n"),
-            "{text}"
-        );
-        assert!(
-            text.contains(" | 0.2000 ± 1.2706, 0.3000 at most |\n"),
-            "{text}"
-        );
-        assert_eq!(
-            serde_json::to_value(&report).unwrap()["sets"]
-                .as_array()
-                .unwrap()
-                .len(),
-            2
-        );
+        assert_contains(&plot, &["FID_k", "mean of 2 sets"]);
+        let has_ratio = plot.contains("beat align");
+        assert!(!has_ratio, "a metric without a ratio is left out");
+        let rows = [
+            "| FID_k ↓ | 12.500 | 25.000 ± 12.706 |\n",
+            "| beat align score (Eq. 15) ↑ | 0.2000 | – |\n",
+            " | 0.2000 ± 1.2706, 0.3000 at most |\n",
+        ];
+        assert_contains(&report.markdown(), &rows);
+        let json = serde_json::to_value(&report).unwrap();
+        assert_eq!(json["sets"].as_array().unwrap().len(), 2);
     }
 }

@@ -5,36 +5,22 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{
-    EvaluationError,
+use crate::{
     clips::Clips,
+    error::EvaluationError,
+    files::{entries, stem},
     kinetic::KineticForm,
-    load::{entries, stem},
-    music::MusicBeats,
-    recitation::Repertoire,
-    reference::{DanceSet, Reference, TEST_SPLIT},
+    music::{BeatsFrom, MusicBeats},
+    recitation::TrainingTakes,
     report::{Protocol, Report},
-    scores::{Judge, Ruler},
+    scores::{Evaluator, ReferenceSpace},
+    sets::{MotionSet, Reference, TEST_SPLIT},
 };
 
-/// Names listed in a warning before it says how many more there are.
+/// Names listed in a warning before the number of the others.
 const LISTED: usize = 6;
 
-/// Where music beats are to come from.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum BeatsFrom {
-    /// The counts of the reference, where it is a data folder that has them.
-    #[default]
-    Reference,
-    /// A JSON file of frames by name.
-    File(PathBuf),
-    /// A folder of audio files.
-    Audio(PathBuf),
-    /// The same, for songs that are no pieces of the reference; its own row has no beats then.
-    NewSongs(PathBuf),
-}
-
-/// What to evaluate, and how.
+/// The inputs and the measuring of an evaluation.
 #[derive(Clone, Debug)]
 pub struct EvaluationOptions {
     /// Folder of generated motions, or of one folder per seed.
@@ -44,22 +30,22 @@ pub struct EvaluationOptions {
     /// The split that generated pieces are limited to; the reference's row is of this split, or of
     /// `test`.
     pub split: Option<String>,
-    /// Where music beats come from.
+    /// Source of the music beats.
     pub beats: BeatsFrom,
-    /// What the samples of distances and diversity are.
+    /// The samples of distances and diversity.
     pub clips: Clips,
     /// Published or corrected kinetic features.
     pub kinetic: KineticForm,
-    /// How many folders of generated motions there are; none: `generated` itself is one.
+    /// Number of folders of generated motions; none: `generated` itself is one.
     pub seeds: Option<NonZeroUsize>,
     /// Seed of the random shifts behind the chance level.
     pub chance_seed: u64,
 }
 
-/// Measures generated dances, and the reference's own test pieces, against the reference.
+/// Measures generated motions, and the reference's own test pieces, against the reference.
 ///
 /// # Errors
-/// [`EvaluationError`] says which file, piece or option does not fit.
+/// [`EvaluationError`] names the file, piece or option that does not fit.
 pub fn evaluate(options: &EvaluationOptions) -> Result<Report, EvaluationError> {
     options.clips.check()?;
     let split = options.split.as_deref().unwrap_or(TEST_SPLIT);
@@ -67,28 +53,29 @@ pub fn evaluate(options: &EvaluationOptions) -> Result<Report, EvaluationError> 
     let mut warnings = Vec::new();
     let sets = generated_sets(options, &reference, split, &mut warnings)?;
     warn_of_short_motions(options.clips, &reference, &sets, &mut warnings);
-    let judge = Judge {
-        ruler: Ruler::new(&reference.whole.motions, options.clips, options.kinetic)?,
-        beats: music_beats(options, &reference, &sets)?,
-        repertoire: (!reference.train.motions.is_empty())
-            .then(|| Repertoire::new(&reference.train.motions)),
+    let whole = reference.whole.motions();
+    let train = reference.train.motions();
+    let evaluator = Evaluator {
+        reference: ReferenceSpace::new(whole, options.clips, options.kinetic)?,
+        beats: music_beats(&options.beats, &reference, &sets)?,
+        takes: (!train.is_empty()).then(|| TrainingTakes::new(train)),
         seed: options.chance_seed,
     };
-    let row = judge.score("the reference's own pieces", &reference.test)?;
-    let scores: Result<Vec<_>, _> = sets
+    let row = evaluator.score("the reference's own pieces", &reference.test)?;
+    let scores = sets
         .iter()
-        .map(|(folder, set)| judge.score(&folder.display().to_string(), set))
-        .collect();
+        .map(|(folder, set)| evaluator.score(&folder.display().to_string(), set))
+        .collect::<Result<_, _>>()?;
     Ok(Report::new(
-        scores?,
+        scores,
         row,
-        protocol(options, &judge),
+        protocol(options, &evaluator),
         warnings,
     ))
 }
 
-fn protocol(options: &EvaluationOptions, judge: &Judge) -> Protocol {
-    let [kinetic, geometric] = judge.ruler.constant_columns().map(<[usize]>::to_vec);
+fn protocol(options: &EvaluationOptions, evaluator: &Evaluator) -> Protocol {
+    let [kinetic, geometric] = evaluator.reference.constant_columns();
     Protocol {
         clips: match options.clips {
             Clips::First(frames) => format!("the first {frames} frames of each motion"),
@@ -100,15 +87,16 @@ fn protocol(options: &EvaluationOptions, judge: &Judge) -> Protocol {
             KineticForm::Published => "published",
             KineticForm::Corrected => "corrected (not comparable with published figures)",
         },
-        beats: judge.beats.as_ref().map(|beats| beats.source.to_string()),
-        reference_samples: judge.ruler.samples(),
+        beats: evaluator.beats.as_ref().map(|beats| beats.source),
+        reference_samples: evaluator.reference.samples(),
         constant_kinetic_columns: kinetic,
         constant_geometric_columns: geometric,
         chance_seed: options.chance_seed,
     }
 }
 
-type NamedSet = (PathBuf, DanceSet);
+/// A set of motions and its folder.
+type NamedSet = (PathBuf, MotionSet);
 
 fn generated_sets(
     options: &EvaluationOptions,
@@ -122,7 +110,7 @@ fn generated_sets(
     };
     let mut sets = Vec::with_capacity(folders.len());
     for folder in folders {
-        let set = DanceSet::load(&folder, split)?;
+        let set = MotionSet::load(&folder, split)?;
         let set = match options.split {
             Some(_) => only_split(set, reference, split, &folder, warnings)?,
             None if matches!(options.beats, BeatsFrom::NewSongs(_)) => set,
@@ -138,92 +126,55 @@ fn generated_sets(
     Ok(sets)
 }
 
-/// The folders directly inside `folder`, one per seed.
+/// Returns the folders directly inside `folder`, one per seed.
 fn seed_folders(folder: &Path, seeds: usize) -> Result<Vec<PathBuf>, EvaluationError> {
-    let folders: Vec<PathBuf> = entries(folder)?
-        .into_iter()
-        .filter(|path| path.is_dir())
-        .collect();
+    let mut folders = entries(folder)?;
+    folders.retain(|path| path.is_dir());
     if folders.len() == seeds {
         return Ok(folders);
     }
     let names: Vec<String> = folders.iter().map(|folder| stem(folder)).collect();
-    Err(EvaluationError::File {
-        path: folder.to_owned(),
-        problem: format!(
-            "--seeds {seeds} needs {seeds} folders of motions in it, it has {} ({})",
-            names.len(),
-            listed(&names)
-        ),
-    })
+    let (found, names) = (names.len(), listed(&names));
+    let problem =
+        format!("--seeds {seeds} needs {seeds} folders of motions in it, it has {found} ({names})");
+    Err(EvaluationError::file(folder, problem))
 }
 
-/// A generated set without the pieces of other splits, and a warning about pieces it lacks.
+/// Removes the pieces of other splits from a generated set, and warns of pieces that it lacks.
 fn only_split(
-    set: DanceSet,
+    set: MotionSet,
     reference: &Reference,
     split: &str,
     folder: &Path,
     warnings: &mut Vec<String>,
-) -> Result<DanceSet, EvaluationError> {
-    let DanceSet { motions, pieces } = set;
-    let mut left_out = Vec::new();
-    let mut kept = Vec::new();
-    for piece in pieces {
+) -> Result<MotionSet, EvaluationError> {
+    let folder = folder.display();
+    let (mut kept, mut left_out) = (MotionSet::default(), Vec::new());
+    for piece in set.pieces {
         // A folder without splits has nothing to leave out.
         match reference.split_of(&piece.id)? {
-            "" => kept.push(piece),
-            own if own == split => kept.push(piece),
+            own if own.is_empty() || own == split => kept.pieces.push(piece),
             _ => left_out.push(piece.id),
         }
     }
     if !left_out.is_empty() {
         let names = listed(&left_out);
-        warnings.push(format!(
-            "{}: not of split {split}, left out: {names}",
-            folder.display()
-        ));
+        warnings.push(format!("{folder}: not of split {split}, left out: {names}"));
     }
-    let lacking: Vec<String> = reference
-        .test
-        .pieces
-        .iter()
-        .filter(|piece| kept.iter().all(|other| other.id != piece.id))
-        .map(|piece| piece.id.clone())
-        .collect();
+    let wanted = reference.test.pieces.iter().map(|piece| &piece.id);
+    let lacking: Vec<String> = wanted.filter(|id| !kept.has(id)).cloned().collect();
     if !lacking.is_empty() {
         let (some, all) = (lacking.len(), reference.test.pieces.len());
+        let names = listed(&lacking);
         warnings.push(format!(
-            "{}: {some} of {all} pieces of split {split} are missing: {}",
-            folder.display(),
-            listed(&lacking)
+            "{folder}: {some} of {all} pieces of split {split} are missing: {names}"
         ));
     }
-    // Motions nobody dances to any more must not count.
-    let mut renumbered = vec![None; motions.len()];
-    let mut set = DanceSet::default();
-    for (at, motion) in motions.into_iter().enumerate() {
-        if kept.iter().any(|piece| piece.motion == at) {
-            renumbered[at] = Some(set.motions.len());
-            set.motions.push(motion);
-        }
-    }
-    for mut piece in kept {
-        if let Some(Some(motion)) = renumbered.get(piece.motion) {
-            piece.motion = *motion;
-            set.pieces.push(piece);
-        }
-    }
-    Ok(set)
+    Ok(kept)
 }
 
 fn listed(names: &[String]) -> String {
-    let mut text = names
-        .iter()
-        .take(LISTED)
-        .cloned()
-        .collect::<Vec<_>>()
-        .join(", ");
+    let mut text = names[..names.len().min(LISTED)].join(", ");
     if names.len() > LISTED {
         text.push_str(&format!(" and {} more", names.len() - LISTED));
     }
@@ -240,17 +191,14 @@ fn warn_of_short_motions(
     let Clips::Windows { length, .. } = clips else {
         return;
     };
-    let reference = (reference.folder(), &reference.whole);
+    let reference = (reference.folder.as_path(), &reference.whole);
     let sets = sets.iter().map(|(folder, set)| (folder.as_path(), set));
     for (folder, set) in std::iter::once(reference).chain(sets) {
-        let short = set
-            .motions
-            .iter()
-            .filter(|motion| motion.poses().len() < length);
+        let motions = set.motions().into_iter();
+        let short = motions.filter(|motion| motion.poses().len() < length);
         let names: Vec<String> = short.map(|motion| motion.name().to_owned()).collect();
         if !names.is_empty() {
-            let names = listed(&names);
-            let folder = folder.display();
+            let (folder, names) = (folder.display(), listed(&names));
             warnings.push(format!(
                 "{folder}: shorter than {length} frames, no window: {names}"
             ));
@@ -259,19 +207,13 @@ fn warn_of_short_motions(
 }
 
 fn music_beats(
-    options: &EvaluationOptions,
+    from: &BeatsFrom,
     reference: &Reference,
     sets: &[NamedSet],
 ) -> Result<Option<MusicBeats>, EvaluationError> {
-    let own = std::iter::once(&reference.test)
-        .filter(|_| !matches!(options.beats, BeatsFrom::NewSongs(_)));
-    let all = own.chain(sets.iter().map(|(_, set)| set));
+    // New songs are no pieces of the reference.
+    let own = (!matches!(from, BeatsFrom::NewSongs(_))).then_some(&reference.test);
+    let all = own.into_iter().chain(sets.iter().map(|(_, set)| set));
     let pieces = all.flat_map(|set| set.pieces.iter().map(|piece| piece.id.as_str()));
-    match &options.beats {
-        BeatsFrom::File(path) => MusicBeats::from_file(path, pieces, reference).map(Some),
-        BeatsFrom::Audio(folder) | BeatsFrom::NewSongs(folder) => {
-            MusicBeats::from_audio(folder, pieces, reference).map(Some)
-        }
-        BeatsFrom::Reference => Ok(MusicBeats::from_grid(pieces, reference)),
-    }
+    MusicBeats::find(from, pieces, reference)
 }

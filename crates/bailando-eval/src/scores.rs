@@ -1,4 +1,4 @@
-//! All metrics of one set of dances.
+//! All metrics of one set of motions.
 
 use std::collections::BTreeMap;
 
@@ -6,18 +6,19 @@ use ndarray::Array2;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-use super::{
-    EvaluationError, Motion,
+use crate::{
     beats::{BeatScore, speed},
+    body::Motion,
     clips::Clips,
     distance::{Standard, diversity, frechet_distance},
+    error::EvaluationError,
     geometric::{GEOMETRIC_FEATURES, geometric_features},
     kinetic::{KINETIC_FEATURES, KineticForm, kinetic_features},
     metric::{Metric, Scores},
     motion_quality::MotionQuality,
     music::MusicBeats,
-    recitation::Repertoire,
-    reference::DanceSet,
+    recitation::TrainingTakes,
+    sets::MotionSet,
 };
 use bailando_motion::dance_beats;
 
@@ -31,24 +32,26 @@ pub struct FeatureRows {
 }
 
 impl FeatureRows {
-    /// Of all clips of some motions. Values have the precision of float32, as published ones were
-    /// stored.
+    /// Computes the features of all clips of some motions. Values have the precision of float32, as
+    /// published ones were stored.
     #[must_use]
-    pub fn new(motions: &[Motion], clips: Clips, form: KineticForm) -> Self {
+    pub fn new<'a>(
+        motions: impl IntoIterator<Item = &'a Motion>,
+        clips: Clips,
+        form: KineticForm,
+    ) -> Self {
         let (mut kinetic, mut geometric) = (Vec::new(), Vec::new());
-        for clip in motions.iter().flat_map(|motion| clips.of(motion)) {
+        for clip in motions.into_iter().flat_map(|motion| clips.of(motion)) {
             kinetic.extend(kinetic_features(&clip, form).map(stored));
             geometric.extend(geometric_features(&clip).map(stored));
         }
         Self {
-            kinetic: rows(kinetic, KINETIC_FEATURES),
-            geometric: rows(geometric, GEOMETRIC_FEATURES),
+            kinetic: rows(&kinetic, KINETIC_FEATURES),
+            geometric: rows(&geometric, GEOMETRIC_FEATURES),
         }
     }
 
-    /// Clips that the rows come from.
-    #[must_use]
-    pub fn samples(&self) -> usize {
+    fn samples(&self) -> usize {
         self.kinetic.nrows()
     }
 }
@@ -57,34 +60,30 @@ fn stored(value: f64) -> f64 {
     f64::from(value as f32)
 }
 
-fn rows(values: Vec<f64>, columns: usize) -> Array2<f64> {
-    let rows = values.len() / columns;
-    Array2::from_shape_fn((rows, columns), |(row, column)| {
-        values[row * columns + column]
-    })
+fn rows(values: &[f64], columns: usize) -> Array2<f64> {
+    let cell = |(row, column)| values[row * columns + column];
+    Array2::from_shape_fn((values.len() / columns, columns), cell)
 }
 
 /// The reference set in its own units.
 #[derive(Clone, Debug)]
-pub struct Ruler {
+pub(crate) struct ReferenceSpace {
     clips: Clips,
     form: KineticForm,
     kinetic: (Standard, Array2<f64>),
     geometric: (Standard, Array2<f64>),
 }
 
-impl Ruler {
-    /// A ruler made of all reference motions.
+impl ReferenceSpace {
+    /// Measures all reference motions.
     ///
     /// # Errors
-    /// [`EvaluationError::TooFew`] with fewer than two clips, [`EvaluationError::Option`] for
-    /// senseless ones.
-    pub fn new(
-        reference: &[Motion],
+    /// [`EvaluationError::TooFew`] with fewer than two clips.
+    pub(crate) fn new<'a>(
+        reference: impl IntoIterator<Item = &'a Motion>,
         clips: Clips,
         form: KineticForm,
     ) -> Result<Self, EvaluationError> {
-        clips.check()?;
         let features = FeatureRows::new(reference, clips, form);
         enough("the reference", clips, features.samples())?;
         let standard = |rows: &Array2<f64>| {
@@ -100,33 +99,30 @@ impl Ruler {
         })
     }
 
-    /// Clips of the reference.
-    #[must_use]
-    pub fn samples(&self) -> usize {
+    /// Number of clips of the reference.
+    pub(crate) fn samples(&self) -> usize {
         self.kinetic.1.nrows()
     }
 
     /// Kinetic and geometric columns that are left out because they are constant in the reference.
-    #[must_use]
-    pub fn constant_columns(&self) -> [&[usize]; 2] {
-        [&self.kinetic.0, &self.geometric.0].map(Standard::constant_columns)
+    pub(crate) fn constant_columns(&self) -> [Vec<usize>; 2] {
+        [&self.kinetic.0, &self.geometric.0].map(|standard| standard.constant_columns().to_vec())
     }
 
-    /// Fréchet distances and diversity of a set.
-    fn measure(&self, name: &str, set: &DanceSet) -> Result<Scores, EvaluationError> {
-        let features = FeatureRows::new(&set.motions, self.clips, self.form);
+    /// Measures Fréchet distances and diversity of a set.
+    fn measure(&self, name: &str, set: &MotionSet) -> Result<Scores, EvaluationError> {
+        let features = FeatureRows::new(set.motions(), self.clips, self.form);
         enough(name, self.clips, features.samples())?;
         let mut scores = Scores::new(set.pieces.len(), features.samples());
-        let sides = [
-            (&self.kinetic, &features.kinetic, Metric::FidK, Metric::DivK),
+        for ((standard, reference), rows, fid, div) in [
+            (&self.kinetic, features.kinetic, Metric::FidK, Metric::DivK),
             (
                 &self.geometric,
-                &features.geometric,
+                features.geometric,
                 Metric::FidG,
                 Metric::DivG,
             ),
-        ];
-        for ((standard, reference), rows, fid, div) in sides {
+        ] {
             let rows = standard.apply(rows.view());
             scores.set(fid, frechet_distance(rows.view(), reference.view()));
             scores.set(div, diversity(rows.view()));
@@ -146,62 +142,58 @@ fn enough(set: &str, clips: Clips, got: usize) -> Result<(), EvaluationError> {
     Ok(())
 }
 
-/// Everything that a set is measured with.
+/// Measures sets against one reference.
 #[derive(Debug)]
-pub struct Judge {
+pub(crate) struct Evaluator {
     /// For distances.
-    pub ruler: Ruler,
+    pub(crate) reference: ReferenceSpace,
     /// For beat scores; none: they are left out.
-    pub beats: Option<MusicBeats>,
+    pub(crate) beats: Option<MusicBeats>,
     /// For recitation; none: it is left out.
-    pub repertoire: Option<Repertoire>,
+    pub(crate) takes: Option<TrainingTakes>,
     /// Seed of the random shifts behind the chance level.
-    pub seed: u64,
+    pub(crate) seed: u64,
 }
 
-impl Judge {
-    /// All metrics of a set; `name` is for errors.
+impl Evaluator {
+    /// Computes all metrics of a set; `name` is for errors.
     ///
     /// # Errors
     /// [`EvaluationError::TooFew`] if the set has fewer than two clips.
-    pub fn score(&self, name: &str, set: &DanceSet) -> Result<Scores, EvaluationError> {
-        let mut scores = self.ruler.measure(name, set)?;
-        score_quality(&mut scores, &set.motions);
+    pub(crate) fn score(&self, name: &str, set: &MotionSet) -> Result<Scores, EvaluationError> {
+        let mut scores = self.reference.measure(name, set)?;
+        let motions = set.motions();
+        score_quality(&mut scores, &motions);
         if let Some(beats) = &self.beats {
             score_beats(&mut scores, set, beats, self.seed);
         }
-        if let Some(repertoire) = &self.repertoire {
-            let counts = set
-                .motions
-                .iter()
-                .map(|motion| repertoire.recited(motion.poses()));
+        if let Some(takes) = &self.takes {
+            let counts = motions.iter().map(|motion| takes.recited(motion.poses()));
             let (recited, all) = counts.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
             if all > 0 {
                 scores.set(Metric::Recitation, recited as f64 / all as f64);
             }
         }
-        score_codes(&mut scores, &set.motions);
+        score_codes(&mut scores, &motions);
         Ok(scores)
     }
 }
 
-fn score_quality(scores: &mut Scores, motions: &[Motion]) {
+fn score_quality(scores: &mut Scores, motions: &[&Motion]) {
     let each: Vec<MotionQuality> = motions
         .iter()
         .map(|motion| MotionQuality::new(motion.poses()))
         .collect();
-    let mut mean = |metric, field: fn(&MotionQuality) -> f64| {
-        set_mean(scores, metric, each.iter().map(field));
-    };
-    mean(Metric::DanceBeatsPerSecond, |q| q.dance_beats_per_second);
-    mean(Metric::SlowFrames, |q| q.slow_frames);
-    mean(Metric::MeanSpeed, |q| q.mean_speed);
-    mean(Metric::Jerk, |q| q.jerk);
-    mean(Metric::FootSkate, |q| q.foot_skate);
-    score_freezing(scores, &each);
-}
-
-fn score_freezing(scores: &mut Scores, each: &[MotionQuality]) {
+    let means: [Mean<MotionQuality>; 5] = [
+        (Metric::DanceBeatsPerSecond, |q| {
+            Some(q.dance_beats_per_second)
+        }),
+        (Metric::SlowFrames, |q| Some(q.slow_frames)),
+        (Metric::MeanSpeed, |q| Some(q.mean_speed)),
+        (Metric::Jerk, |q| Some(q.jerk)),
+        (Metric::FootSkate, |q| Some(q.foot_skate)),
+    ];
+    set_means(scores, &each, &means);
     let windows: usize = each.iter().map(|quality| quality.windows).sum();
     let sluggish: usize = each.iter().map(|quality| quality.sluggish_windows).sum();
     if windows > 0 {
@@ -211,54 +203,40 @@ fn score_freezing(scores: &mut Scores, each: &[MotionQuality]) {
     }
 }
 
-fn score_beats(scores: &mut Scores, set: &DanceSet, beats: &MusicBeats, seed: u64) {
+fn score_beats(scores: &mut Scores, set: &MotionSet, beats: &MusicBeats, seed: u64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let dances: Vec<Vec<usize>> = set
-        .motions
-        .iter()
-        .map(|motion| dance_beats(&speed(motion.poses())))
-        .collect();
-    let each: Vec<BeatScore> = set
-        .pieces
-        .iter()
-        .filter_map(|piece| {
-            let frames = set.motions.get(piece.motion)?.poses().len();
-            BeatScore::new(
-                frames,
-                beats.of(&piece.id),
-                dances.get(piece.motion)?,
-                &mut random,
-            )
-        })
-        .collect();
-    set_mean(
-        scores,
-        Metric::BeatAlign,
-        each.iter().map(|score| score.align),
-    );
-    set_mean(
-        scores,
-        Metric::BeatAlignDance,
-        each.iter().map(|score| score.align_dance),
-    );
-    set_mean(
-        scores,
-        Metric::BeatChance,
-        each.iter().filter_map(|score| score.chance),
-    );
-    let margin = |score: &BeatScore| Some(score.align - score.chance?);
-    set_mean(scores, Metric::BeatMargin, each.iter().filter_map(margin));
+    let scored = set.pieces.iter().filter_map(|piece| {
+        let poses = piece.motion.poses();
+        let dance = dance_beats(&speed(poses));
+        BeatScore::new(poses.len(), beats.of(&piece.id), &dance, &mut random)
+    });
+    let each: Vec<BeatScore> = scored.collect();
+    let means: [Mean<BeatScore>; 4] = [
+        (Metric::BeatAlign, |score| Some(score.align)),
+        (Metric::BeatAlignDance, |score| Some(score.align_dance)),
+        (Metric::BeatChance, |score| score.chance),
+        (Metric::BeatMargin, |score| {
+            Some(score.align - score.chance?)
+        }),
+    ];
+    set_means(scores, &each, &means);
 }
 
-fn set_mean(scores: &mut Scores, metric: Metric, values: impl Iterator<Item = f64>) {
-    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
-    if count > 0 {
-        scores.set(metric, sum / f64::from(count));
+/// A metric that is the mean of a value of each motion or piece; none has no part in it.
+type Mean<T> = (Metric, fn(&T) -> Option<f64>);
+
+fn set_means<T>(scores: &mut Scores, each: &[T], means: &[Mean<T>]) {
+    for &(metric, value) in means {
+        let values = each.iter().filter_map(value);
+        let sum_and_count = values.fold((0.0, 0_u32), |(sum, count), v| (sum + v, count + 1));
+        if let (sum, count @ 1..) = sum_and_count {
+            scores.set(metric, sum / f64::from(count));
+        }
     }
 }
 
-/// Only where every motion tells its codes.
-fn score_codes(scores: &mut Scores, motions: &[Motion]) {
+/// Scores codes where every motion has them.
+fn score_codes(scores: &mut Scores, motions: &[&Motion]) {
     let halves = [
         (Metric::CodesUpper, Metric::EntropyUpper),
         (Metric::CodesLower, Metric::EntropyLower),
@@ -266,13 +244,12 @@ fn score_codes(scores: &mut Scores, motions: &[Motion]) {
     for (half, (different, entropy)) in halves.into_iter().enumerate() {
         let mut counts: BTreeMap<u32, u32> = BTreeMap::new();
         for motion in motions {
-            match motion.codes() {
-                Some(codes) if !codes[half].is_empty() => {
-                    for &code in &codes[half] {
-                        *counts.entry(code).or_default() += 1;
-                    }
-                }
-                _ => return,
+            let codes = motion.codes().map(|codes| &codes[half]);
+            let Some(codes) = codes.filter(|codes| !codes.is_empty()) else {
+                return;
+            };
+            for &code in codes {
+                *counts.entry(code).or_default() += 1;
             }
         }
         let total = f64::from(counts.values().sum::<u32>());
@@ -300,25 +277,22 @@ mod tests {
         Motion::new(name, positions.view()).unwrap()
     }
 
-    fn judge(motions: &[Motion]) -> Judge {
-        Judge {
-            ruler: Ruler::new(motions, Clips::default(), KineticForm::Published).unwrap(),
+    /// Scores motions against some reference motions.
+    fn score(reference: &[Motion], motions: Vec<Motion>) -> Result<Scores, EvaluationError> {
+        let (clips, form) = (Clips::default(), KineticForm::Published);
+        let evaluator = Evaluator {
+            reference: ReferenceSpace::new(reference, clips, form)?,
             beats: None,
-            repertoire: Some(Repertoire::new(motions)),
+            takes: Some(TrainingTakes::new(reference)),
             seed: 0,
-        }
+        };
+        evaluator.score("generated", &MotionSet::from_motions(motions))
     }
 
     #[test]
     fn a_set_is_at_no_distance_from_itself_and_recites_itself() {
-        let motions: Vec<Motion> = [2.0, 3.0, 4.0, 5.5]
-            .iter()
-            .map(|&pace| motion("own", pace))
-            .collect();
-        let judge = judge(&motions);
-        let scores = judge
-            .score("own", &DanceSet::from_motions(motions))
-            .unwrap();
+        let motions = [2.0, 3.0, 4.0, 5.5].map(|pace| motion("own", pace));
+        let scores = score(&motions, motions.to_vec()).unwrap();
         // 72 roots of rounding errors.
         assert!(scores.get(Metric::FidK).unwrap().abs() < 1e-3);
         assert!(scores.get(Metric::FidG).unwrap().abs() < 1e-3);
@@ -331,29 +305,30 @@ mod tests {
     #[test]
     fn codes_are_counted_over_all_pieces() {
         let with = |codes: [Vec<u32>; 2], pace| motion("coded", pace).with_codes(codes);
-        let motions = vec![
+        let motions = [
             with([vec![1, 1, 2], vec![5, 5, 5]], 2.0),
             with([vec![2], vec![5]], 3.0),
         ];
-        let scores = judge(&motions)
-            .score("own", &DanceSet::from_motions(motions))
-            .unwrap();
-        assert_eq!(scores.get(Metric::CodesUpper), Some(2.0));
-        assert_eq!(scores.get(Metric::EntropyUpper), Some(1.0));
-        assert_eq!(scores.get(Metric::CodesLower), Some(1.0));
-        assert_eq!(scores.get(Metric::EntropyLower), Some(0.0));
+        let scores = score(&motions, motions.to_vec()).unwrap();
+        for (metric, expected) in [
+            (Metric::CodesUpper, 2.0),
+            (Metric::EntropyUpper, 1.0),
+            (Metric::CodesLower, 1.0),
+            (Metric::EntropyLower, 0.0),
+        ] {
+            assert_eq!(scores.get(metric), Some(expected), "{metric:?}");
+        }
     }
 
     #[test]
     fn one_sample_is_too_few() {
         let motions = [motion("a", 2.0), motion("b", 3.0)];
-        let error = Ruler::new(&motions[..1], Clips::default(), KineticForm::Published);
+        let error = score(&motions[..1], motions.to_vec());
         assert!(matches!(error, Err(EvaluationError::TooFew { got: 1, .. })));
-        let one = DanceSet::from_motions(vec![motions[0].clone()]);
-        let error = judge(&motions)
-            .score("generated", &one)
-            .unwrap_err()
-            .to_string();
-        assert!(error.contains("generated: 1 motions"), "{error}");
+        let error = score(&motions, motions[..1].to_vec()).unwrap_err();
+        assert!(
+            error.to_string().contains("generated: 1 motions"),
+            "{error}"
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! BVH: the skeleton as a hierarchy, and a line of channels per frame.
 //!
-//! y up, right-handed, the rest pose facing +z, like the JSON. The root's OFFSET is zero, so that its
-//! position channels are world positions whether a program adds the offset to them or not.
+//! y up, right-handed, the rest pose heading for +z, like the JSON. The root's OFFSET is zero, so
+//! that its position channels are world positions whether a program adds the offset to them or not.
 //! Rotation channels are written and applied in the order y, x, z (`R = Ry * Rx * Rz`), which every
 //! joint shares.
 
@@ -10,12 +10,13 @@ use std::{
     str::FromStr,
 };
 
+use bailando_motion::Skeleton;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
-use super::{Dance, FormatError, decimal::push_decimal, euler::nearest_angles};
-use bailando_motion::Skeleton;
+use crate::{
+    decimal::push_decimal, error::FormatError, euler::nearest_angles, motion::GeneratedMotion,
+};
 
 const ROTATION_CHANNELS: &str = "Yrotation Xrotation Zrotation";
 /// Length of an End Site whose bone has none, metres.
@@ -23,7 +24,8 @@ const SHORTEST_END: f32 = 0.05;
 
 /// The unit of lengths in a BVH file. The format does not name one; most programs expect
 /// centimetres.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub enum BvhUnit {
     /// Centimetres (`cm`).
     #[default]
@@ -35,7 +37,7 @@ pub enum BvhUnit {
 }
 
 impl BvhUnit {
-    /// Units per metre.
+    /// Returns the units per metre.
     fn per_metre(self) -> f32 {
         match self {
             Self::Centimetre => 100.0,
@@ -43,7 +45,7 @@ impl BvhUnit {
         }
     }
 
-    /// Decimals that hold a micrometre.
+    /// Returns the decimals that hold a micrometre.
     fn decimals(self) -> usize {
         match self {
             Self::Centimetre => 4,
@@ -68,24 +70,24 @@ impl FromStr for BvhUnit {
     }
 }
 
-/// Writes a dance as BVH.
+/// Writes a motion as BVH.
 ///
 /// # Errors
 /// [`FormatError::Inconsistent`] if its parts do not fit each other or hold a NaN or an infinity.
-pub fn to_bvh(dance: &Dance, unit: BvhUnit) -> Result<String, FormatError> {
-    dance.check()?;
-    let joints = dance.skeleton.joints.len();
-    let frames = dance.animation.root.len();
+pub fn to_bvh(motion: &GeneratedMotion, unit: BvhUnit) -> Result<String, FormatError> {
+    motion.check()?;
+    let joints = motion.skeleton.joints.len();
+    let frames = motion.animation.root.len();
     // A rotation takes about nine bytes.
     let mut writer = BvhWriter {
         text: String::with_capacity(200 * joints + 30 * (joints + 1) * frames),
-        skeleton: &dance.skeleton,
+        skeleton: &motion.skeleton,
         order: Vec::with_capacity(joints),
         unit,
     };
     writer.text.push_str("HIERARCHY\n");
     writer.joint(0, 0)?;
-    writer.motion(dance)?;
+    writer.motion(motion)?;
     Ok(writer.text)
 }
 
@@ -105,23 +107,20 @@ impl BvhWriter<'_> {
         let (kind, offset, channels) = if joint == 0 {
             ("ROOT", Vec3::ZERO, "6 Xposition Yposition Zposition ")
         } else {
-            let offset = Vec3::from_array(self.skeleton.offsets[joint]);
-            ("JOINT", offset, "3 ")
+            ("JOINT", self.skeleton.offset(joint), "3 ")
         };
         writeln!(self.text, "{indent}{kind} {name}\n{indent}{{")?;
         self.offset(&indent, offset)?;
-        writeln!(
-            self.text,
-            "{indent}\tCHANNELS {channels}{ROTATION_CHANNELS}"
-        )?;
-        let mut is_leaf = true;
-        for child in joint + 1..self.skeleton.joints.len() {
-            if self.skeleton.parent(child) == Some(joint) {
-                is_leaf = false;
-                self.joint(child, depth + 1)?;
-            }
+        let text = &mut self.text;
+        writeln!(text, "{indent}\tCHANNELS {channels}{ROTATION_CHANNELS}")?;
+        let is_child = |child: &usize| self.skeleton.parent(*child) == Some(joint);
+        let children: Vec<usize> = (joint + 1..self.skeleton.joints.len())
+            .filter(is_child)
+            .collect();
+        for &child in &children {
+            self.joint(child, depth + 1)?;
         }
-        if is_leaf {
+        if children.is_empty() {
             writeln!(self.text, "{indent}\tEnd Site\n{indent}\t{{")?;
             let end = self.end_of(joint);
             self.offset(&format!("{indent}\t"), end)?;
@@ -137,10 +136,11 @@ impl BvhWriter<'_> {
         Ok(())
     }
 
-    /// What a leaf's bone points at. The last bone goes on by its own length, so that programs which
-    /// draw bones from joint to joint show hands and head; toes go on along the floor.
+    /// Returns the end of a leaf's bone. The last bone continues by its own length, so that
+    /// programs which draw bones from joint to joint show hands and head; toes continue along the
+    /// floor.
     fn end_of(&self, joint: usize) -> Vec3 {
-        let bone = Vec3::from_array(self.skeleton.offsets[joint]);
+        let bone = self.skeleton.offset(joint);
         let end = if self.skeleton.foot_joints().contains(&joint) {
             0.5 * bone.with_y(0.0)
         } else {
@@ -154,13 +154,13 @@ impl BvhWriter<'_> {
         }
     }
 
-    fn motion(&mut self, dance: &Dance) -> fmt::Result {
-        let animation = &dance.animation;
+    fn motion(&mut self, motion: &GeneratedMotion) -> fmt::Result {
+        let animation = &motion.animation;
         let frame_time = 1.0 / f64::from(animation.fps);
         let frames = animation.root.len();
-        write!(
+        writeln!(
             self.text,
-            "MOTION\nFrames: {frames}\nFrame Time: {frame_time:.8}\n"
+            "MOTION\nFrames: {frames}\nFrame Time: {frame_time:.8}"
         )?;
         let mut angles = vec![[0.0; 3]; self.skeleton.joints.len()];
         for (&root, rotations) in animation.root.iter().zip(&animation.rotations) {
@@ -175,7 +175,7 @@ impl BvhWriter<'_> {
                     push_decimal(&mut self.text, angle.to_degrees(), 4)?;
                 }
             }
-            // Every number brings a space in front; a line starts without.
+            // Every number comes with a space in front; a line starts without.
             self.text.remove(start);
             self.text.push('\n');
         }
@@ -192,7 +192,7 @@ impl BvhWriter<'_> {
     }
 }
 
-/// A name as BVH can hold it: one word without braces.
+/// Turns a name into one that BVH can hold: one word without braces.
 fn token(name: &str) -> String {
     let fits = |c: char| !c.is_whitespace() && !c.is_control() && !matches!(c, '{' | '}');
     name.chars()

@@ -1,77 +1,50 @@
-//! Numbers with a fixed count of decimals: `{:.4}` of a double finds its exact digits first, and then goes through the
-//! library's padding, which a file of a hundred thousand rounded numbers does not need.
+//! Numbers with a fixed count of decimals.
+//!
+//! `{:.4}` of a double finds its exact digits first, and then goes through the library's padding,
+//! which a file of a hundred thousand rounded numbers does not need.
 
 use std::fmt::{self, Write};
 
-/// Decimals of the largest power of ten that is kept.
+/// Decimals of the largest power of ten that is used.
 const MOST_DECIMALS: usize = 9;
 /// Whole numbers below it are exact in a double.
 const EXACT: f64 = (1_u64 << f64::MANTISSA_DIGITS) as f64;
+/// 16 digits of an exact number, at least one before the point, the point and a sign.
+const MOST_BYTES: usize = 20;
 
-/// Appends `value` rounded to at least one decimal, 0 without a sign. Halves go away from zero, where a
-/// double can tell that it is one.
-pub(super) fn push_decimal(text: &mut String, value: f64, decimals: usize) -> fmt::Result {
+/// Appends `value` rounded to so many decimals, 0 without a sign. Halves are rounded away from
+/// zero, where a double can hold them.
+pub(crate) fn push_decimal(text: &mut String, value: f64, decimals: usize) -> fmt::Result {
     let power = 10_u64.pow(decimals.clamp(1, MOST_DECIMALS) as u32);
     let scaled = (value * power as f64).round();
     if !(1..=MOST_DECIMALS).contains(&decimals) || scaled.is_nan() || scaled.abs() >= EXACT {
         return write!(text, "{value:.decimals$}");
     }
-    let mut digits = Digits::default();
+    // From the last digit to the first.
+    let mut bytes = [b'0'; MOST_BYTES];
+    let mut first = MOST_BYTES;
+    let mut push = |byte: u8| {
+        first -= 1;
+        bytes[first] = byte;
+    };
     let mut rest = scaled.abs() as u64;
     for _ in 0..decimals {
-        digits.push(rest);
+        push(b'0' + (rest % 10) as u8);
         rest /= 10;
     }
-    digits.push_byte(b'.');
+    push(b'.');
     loop {
-        digits.push(rest);
+        push(b'0' + (rest % 10) as u8);
         rest /= 10;
         if rest == 0 {
             break;
         }
     }
     if scaled < 0.0 {
-        digits.push_byte(b'-');
+        push(b'-');
     }
-    text.push_str(digits.as_str()?);
+    text.push_str(str::from_utf8(&bytes[first..]).map_err(|_| fmt::Error)?);
     Ok(())
-}
-
-/// Characters of a number from its last on.
-struct Digits {
-    bytes: [u8; Self::MOST],
-    first: usize,
-}
-
-impl Default for Digits {
-    fn default() -> Self {
-        Self {
-            bytes: [b'0'; Self::MOST],
-            first: Self::MOST,
-        }
-    }
-}
-
-impl Digits {
-    /// 16 digits of an exact number, at least one before the point, the point and a sign.
-    const MOST: usize = 20;
-
-    /// Puts the last digit of `number` in front.
-    fn push(&mut self, number: u64) {
-        self.push_byte(b'0' + (number % 10) as u8);
-    }
-
-    fn push_byte(&mut self, byte: u8) {
-        self.first = self.first.saturating_sub(1);
-        if let Some(place) = self.bytes.get_mut(self.first) {
-            *place = byte;
-        }
-    }
-
-    fn as_str(&self) -> Result<&str, fmt::Error> {
-        let bytes = self.bytes.get(self.first..).unwrap_or_default();
-        str::from_utf8(bytes).map_err(|_| fmt::Error)
-    }
 }
 
 #[cfg(test)]
@@ -88,7 +61,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn numbers_are_written_as_the_library_would(value in -4_000.0..4_000.0_f64, decimals in 1_usize..=6) {
+        fn numbers_are_written_as_the_library_would(
+            value in -4_000.0..4_000.0_f64,
+            decimals in 1_usize..=6,
+        ) {
             let power = 10.0_f64.powi(decimals as i32);
             // Near a half the product decides, which is rounded itself.
             prop_assume!(((value * power).fract().abs() - 0.5).abs() > 1e-6);

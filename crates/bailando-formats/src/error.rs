@@ -1,28 +1,22 @@
-//! Why a result could not be written.
+//! Why a motion could not be written.
 
-/// Why a result could not be written.
+/// The reason why a motion could not be written, or an option about it not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum FormatError {
-    /// The wanted format does not exist.
-    #[error("format {got:?} is not available: choose json or bvh")]
-    Unknown {
-        /// What was asked for.
-        got: String,
-    },
-    /// A choice about a format does not exist.
+    /// An option has another value than those it accepts.
     #[error("{name} {got:?} is not available: choose {accepted}")]
     Choice {
         /// Name of the option as in the API.
         name: &'static str,
-        /// What was asked for.
+        /// Value that was asked for.
         got: String,
-        /// What there is.
+        /// Values that there are.
         accepted: &'static str,
     },
-    /// A text is no end of a dance.
+    /// A text does not describe a continuation.
     #[error("this is not the `tail` of a dance")]
-    Tail,
-    /// The dance contradicts itself, so that no file could be right.
+    Continuation,
+    /// The motion contradicts itself, so that no file could be right.
     #[error("the dance can't be written: {0}")]
     Inconsistent(String),
     /// JSON could not be written.

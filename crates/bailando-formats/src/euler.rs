@@ -7,37 +7,28 @@ use glam::{DMat3, DQuat};
 /// Cosine of the middle angle below which first and third angle turn about one axis.
 const GIMBAL_LOCK: f64 = 1e-5;
 
-/// Angles in radians about y, x and z, for `R = Ry * Rx * Rz`, nearest to `previous`.
+/// Returns the angles in radians about y, x and z, for `R = Ry * Rx * Rz`, nearest to `previous`.
 ///
-/// Every rotation has two sets of angles, each with any number of full turns; the nearest is taken so
-/// that curves don't jump. At gimbal lock, where only a sum of y and z is determined, z stays.
+/// Every rotation has two sets of angles, each with any number of full turns; the nearest is taken
+/// so that curves don't jump. At gimbal lock, where only a sum of y and z is determined, z stays.
 ///
 /// This order is locked when x is at a right angle: turning about the vertical, which dancers do
 /// all the time, is unlimited and keeps its meaning as a heading.
-pub(super) fn nearest_angles(rotation: DQuat, previous: [f64; 3]) -> [f64; 3] {
+pub(crate) fn nearest_angles(rotation: DQuat, previous: [f64; 3]) -> [f64; 3] {
     let matrix = DMat3::from_quat(rotation.normalize());
     // Columns are x_axis, y_axis, z_axis; row 1 of R is [cos x sin z, cos x cos z, -sin x].
     let sin_x = (-matrix.z_axis.y).clamp(-1.0, 1.0);
     let cos_x = matrix.z_axis.x.hypot(matrix.z_axis.z);
+    let x = sin_x.atan2(cos_x);
     if cos_x < GIMBAL_LOCK {
         let z = previous[2];
         let heading = matrix * DMat3::from_rotation_z(-z);
         let y = (-heading.x_axis.z).atan2(heading.x_axis.x);
-        let x = sin_x.atan2(cos_x);
         return [unwrapped(y, previous[0]), unwrapped(x, previous[1]), z];
     }
     let y = matrix.z_axis.x.atan2(matrix.z_axis.z);
-    let x = sin_x.atan2(cos_x);
     let z = matrix.x_axis.y.atan2(matrix.y_axis.y);
-    let near = |angles: [f64; 3]| {
-        let [y, x, z] = angles;
-        let [before_y, before_x, before_z] = previous;
-        [
-            unwrapped(y, before_y),
-            unwrapped(x, before_x),
-            unwrapped(z, before_z),
-        ]
-    };
+    let near = |angles: [f64; 3]| [0, 1, 2].map(|axis| unwrapped(angles[axis], previous[axis]));
     let distance = |angles: [f64; 3]| {
         let squares = angles.iter().zip(previous).map(|(a, p)| (a - p).powi(2));
         squares.sum::<f64>()
@@ -50,7 +41,7 @@ pub(super) fn nearest_angles(rotation: DQuat, previous: [f64; 3]) -> [f64; 3] {
     }
 }
 
-/// `angle` plus the full turns that bring it nearest to `target`.
+/// Adds the full turns to `angle` that bring it nearest to `target`.
 fn unwrapped(angle: f64, target: f64) -> f64 {
     angle + ((target - angle) / TAU).round() * TAU
 }
@@ -95,10 +86,8 @@ mod tests {
             let rotation = composed([0.4, x, 1.1]);
             let found = nearest_angles(rotation, [0.3, x, 1.1]);
             assert!(apart(composed(found), rotation) < 1e-5);
-            assert!(
-                (found[0] - 0.4).abs() < 1e-4 && (found[2] - 1.1).abs() < 1e-12,
-                "{found:?}"
-            );
+            let kept = (found[0] - 0.4).abs() < 1e-4 && (found[2] - 1.1).abs() < 1e-12;
+            assert!(kept, "{found:?}");
         }
     }
 
@@ -110,10 +99,8 @@ mod tests {
             // Spins ten radians about the vertical while a leg swings past 90 degrees.
             let angles = [0.5 * t, 2.2 * (0.7 * t).sin(), 0.0];
             let found = nearest_angles(composed(angles), previous);
-            assert!(
-                found.iter().zip(previous).all(|(a, b)| (a - b).abs() < 0.1),
-                "step {step}: {previous:?} then {found:?}"
-            );
+            let steady = found.iter().zip(previous).all(|(a, b)| (a - b).abs() < 0.1);
+            assert!(steady, "step {step}: {previous:?} then {found:?}");
             previous = found;
         }
     }

@@ -1,14 +1,18 @@
-//! The parts of a dance that is sent while it is made (API.md, `POST /generate/stream`).
+//! The events of a motion that is sent while it is generated (API.md, `POST /generate/stream`).
 
-use serde::Serialize;
-use utoipa::ToSchema;
-
-use super::{
-    Codes, Encoding, FormatError, JsonOptions, MusicInfo, Tail, Timings,
-    json::{CodesJson, MusicJson, SkeletonJson, SourceJson, TimingsJson},
-    numbers::{Block, Numbers, PoseNumbers, RootNumbers},
-};
 use bailando_motion::{Finished, PositionsSource, Skeleton};
+use serde::Serialize;
+
+#[cfg(feature = "openapi")]
+use crate::numbers::{PoseNumbers, RootNumbers};
+use crate::{
+    codes::Codes,
+    continuation::Continuation,
+    error::FormatError,
+    json::{JsonOptions, SkeletonJson},
+    motion::{MusicInfo, Timings},
+    numbers::{Block, Encoding, Numbers},
+};
 
 /// What is known before the first frame.
 #[derive(Clone, Copy, Debug)]
@@ -19,13 +23,13 @@ pub struct Start<'a> {
     pub seed: u64,
     /// Frames per second.
     pub fps: u32,
-    /// Frames of the whole dance.
+    /// Frames of the whole motion.
     pub frames: usize,
     /// Rest skeleton.
     pub skeleton: &'a Skeleton,
     /// Tempo and beats, when asked for.
     pub music: Option<&'a MusicInfo>,
-    /// Wall time of what is done.
+    /// Wall time of the stages so far.
     pub timings: Timings,
     /// What was trimmed, truncated or assumed.
     pub warnings: &'a [String],
@@ -34,8 +38,8 @@ pub struct Start<'a> {
 }
 
 /// First event of a stream: what is known before the first frame.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = StartEvent)]
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = StartEvent))]
 pub struct StartJson<'a> {
     /// `start`.
     event: &'static str,
@@ -45,26 +49,26 @@ pub struct StartJson<'a> {
     seed: u64,
     /// Frames per second.
     fps: u32,
-    /// Frames of the whole dance.
+    /// Frames of the whole motion.
     frames: usize,
     /// `frames / fps`.
     duration_s: f64,
     skeleton: SkeletonJson<'a>,
     /// Absent unless asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    music: Option<MusicJson<'a>>,
-    timings_ms: TimingsJson,
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    music: Option<&'a MusicInfo>,
+    timings_ms: Timings,
     /// What was trimmed, truncated or assumed, in plain words.
     warnings: &'a [String],
-    positions_source: SourceJson,
-    /// How `positions`, `rotations` and `root` are written.
+    positions_source: PositionsSource,
+    /// Encoding of `positions`, `rotations` and `root`.
     encoding: Encoding,
 }
 
-/// Some frames of a dance, in their order.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = FramesEvent)]
+/// Some frames of a motion, in their order.
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = FramesEvent))]
 pub struct FramesJson<'a> {
     /// `frames`.
     event: &'static str,
@@ -73,35 +77,35 @@ pub struct FramesJson<'a> {
     /// How many these are.
     count: usize,
     /// World positions in metres, `[count][joints][x y z]`.
-    #[schema(value_type = PoseNumbers)]
+    #[cfg_attr(feature = "openapi", schema(value_type = PoseNumbers))]
     positions: Numbers<'a>,
     /// Local unit quaternions, `[count][joints][x y z w]`; only with `include=rotations`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<PoseNumbers>, nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<PoseNumbers>, nullable = false))]
     rotations: Option<Numbers<'a>>,
     /// World position of the root joint in metres, `[count][x y z]`; only with `include=rotations`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<RootNumbers>, nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<RootNumbers>, nullable = false))]
     root: Option<Numbers<'a>>,
 }
 
 /// Last event of a stream that went well.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = DoneEvent)]
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = DoneEvent))]
 pub struct DoneJson<'a> {
     /// `done`.
     event: &'static str,
     /// Frames that were sent.
     frames: usize,
-    codes: CodesJson<'a>,
-    /// The option `continue_from` of a dance that is to go on from the end of this one.
+    codes: &'a Codes,
+    /// The value of `continue_from` for a motion that continues from the end of this one.
     #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
     tail: Option<String>,
-    timings_ms: TimingsJson,
+    timings_ms: Timings,
 }
 
-/// The first event of a stream, as JSON.
+/// Writes the first event of a stream.
 ///
 /// # Errors
 /// None that is known; writing JSON is fallible by its type.
@@ -114,15 +118,15 @@ pub fn start_event(start: &Start<'_>, options: &JsonOptions) -> Result<Vec<u8>, 
         frames: start.frames,
         duration_s: start.frames as f64 / f64::from(start.fps.max(1)),
         skeleton: start.skeleton.into(),
-        music: start.music.map(MusicJson::from),
-        timings_ms: start.timings.into(),
+        music: start.music,
+        timings_ms: start.timings,
         warnings: start.warnings,
-        positions_source: start.positions_source.into(),
+        positions_source: start.positions_source,
         encoding: options.encoding,
     })?)
 }
 
-/// The frames of `part`, of which `first` came before, as JSON.
+/// Writes the frames of `part`, whose first is number `first`.
 ///
 /// # Errors
 /// [`FormatError::Inconsistent`] for a value that is no finite number.
@@ -134,7 +138,8 @@ pub fn frames_event(
     if part.positions.iter().any(|value| !value.is_finite()) {
         return Err(FormatError::Inconsistent("a value is not finite".into()));
     }
-    let numbers = |block| Numbers::new(block, options.encoding);
+    let encoding = options.encoding;
+    let numbers = |block| Numbers { block, encoding };
     let wanted = |block| options.rotations.then(|| numbers(block));
     let animation = &part.animation;
     Ok(serde_json::to_vec(&FramesJson {
@@ -147,21 +152,21 @@ pub fn frames_event(
     })?)
 }
 
-/// The last event of a stream, as JSON.
+/// Writes the last event of a stream.
 ///
 /// # Errors
 /// As [`start_event`].
 pub fn done_event(
     frames: usize,
     codes: &Codes,
-    tail: Option<&Tail>,
+    continuation: Option<&Continuation>,
     timings: Timings,
 ) -> Result<Vec<u8>, FormatError> {
     Ok(serde_json::to_vec(&DoneJson {
         event: "done",
         frames,
-        codes: codes.into(),
-        tail: tail.map(Tail::to_text),
-        timings_ms: timings.into(),
+        codes,
+        tail: continuation.map(Continuation::to_text),
+        timings_ms: timings,
     })?)
 }

@@ -1,16 +1,46 @@
 //! Large arrays of numbers, written without an intermediate copy as JSON values.
 
+use std::str::FromStr;
+
 use base64::{display::Base64Display, engine::general_purpose::STANDARD};
 use glam::{Quat, Vec3};
 use ndarray::{ArrayView2, ArrayView3};
-use serde::{Serialize, Serializer};
-use utoipa::ToSchema;
+use serde::{Deserialize, Serialize, Serializer};
 
-use super::Encoding;
+use crate::error::FormatError;
 
-/// One array of a dance.
+/// The way in which large arrays of numbers are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "lowercase")]
+pub enum Encoding {
+    /// Nested JSON arrays, numbers rounded to 6 decimals (a micrometre: smooth enough for speeds
+    /// and accelerations to be taken from them).
+    #[default]
+    Json,
+    /// A base64 string of little-endian float32 in the same order, nothing rounded.
+    Base64,
+}
+
+impl FromStr for Encoding {
+    type Err = FormatError;
+
+    fn from_str(name: &str) -> Result<Self, FormatError> {
+        match name {
+            "json" => Ok(Self::Json),
+            "base64" => Ok(Self::Base64),
+            _ => Err(FormatError::Choice {
+                name: "encoding",
+                got: name.into(),
+                accepted: "json or base64",
+            }),
+        }
+    }
+}
+
+/// One array of a motion.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Block<'a> {
+pub(crate) enum Block<'a> {
     /// `[frames, joints, 3]`.
     Positions(ArrayView3<'a, f32>),
     /// `[frames][joints]`, written as x y z w.
@@ -19,57 +49,51 @@ pub(super) enum Block<'a> {
     Root(&'a [Vec3]),
 }
 
-/// An array and how it is written.
+/// An array and its encoding.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Numbers<'a> {
-    block: Block<'a>,
-    encoding: Encoding,
-}
-
-impl<'a> Numbers<'a> {
-    pub(super) fn new(block: Block<'a>, encoding: Encoding) -> Self {
-        Self { block, encoding }
-    }
+pub(crate) struct Numbers<'a> {
+    pub(crate) block: Block<'a>,
+    pub(crate) encoding: Encoding,
 }
 
 /// Numbers of every frame and joint: nested arrays `[frames][joints][3 or 4]`, or with
 /// `encoding=base64` one string of little-endian float32 in the same order.
-#[derive(Serialize, ToSchema)]
+#[cfg(feature = "openapi")]
+#[derive(Serialize, utoipa::ToSchema)]
 #[serde(untagged)]
-#[allow(dead_code, reason = "describes the schema of `Numbers`")]
-pub(super) enum PoseNumbers {
+#[expect(dead_code, reason = "describes the schema of `Numbers`")]
+pub(crate) enum PoseNumbers {
     Nested(Vec<Vec<Vec<f32>>>),
     Packed(String),
 }
 
 /// Numbers of every frame: nested arrays `[frames][3]`, or with `encoding=base64` one string of
 /// little-endian float32 in the same order.
-#[derive(Serialize, ToSchema)]
+#[cfg(feature = "openapi")]
+#[derive(Serialize, utoipa::ToSchema)]
 #[serde(untagged)]
-#[allow(dead_code, reason = "describes the schema of `Numbers`")]
-pub(super) enum RootNumbers {
+#[expect(dead_code, reason = "describes the schema of `Numbers`")]
+pub(crate) enum RootNumbers {
     Nested(Vec<Vec<f32>>),
     Packed(String),
 }
 
 impl Serialize for Numbers<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        match self.encoding {
-            Encoding::Base64 => {
-                let bytes = self.block.little_endian();
-                serializer.collect_str(&Base64Display::new(&bytes, &STANDARD))
+        if self.encoding == Encoding::Base64 {
+            let bytes = self.block.little_endian();
+            return serializer.collect_str(&Base64Display::new(&bytes, &STANDARD));
+        }
+        match self.block {
+            Block::Positions(frames) => {
+                serializer.collect_seq(frames.outer_iter().map(PositionRows))
             }
-            Encoding::Json => match self.block {
-                Block::Positions(positions) => {
-                    serializer.collect_seq(positions.outer_iter().map(PositionRows))
-                }
-                Block::Rotations(frames) => {
-                    serializer.collect_seq(frames.iter().map(|pose| RotationRows(pose)))
-                }
-                Block::Root(root) => {
-                    serializer.collect_seq(root.iter().map(|p| p.to_array().map(rounded)))
-                }
-            },
+            Block::Rotations(frames) => {
+                serializer.collect_seq(frames.iter().map(|pose| RotationRows(pose)))
+            }
+            Block::Root(root) => {
+                serializer.collect_seq(root.iter().map(|p| p.to_array().map(rounded)))
+            }
         }
     }
 }
@@ -105,7 +129,7 @@ impl Serialize for RotationRows<'_> {
     }
 }
 
-/// To 6 decimals, as a double so that the shortest text of it has no more; never `-0.0`.
+/// Rounds to 6 decimals, as a double so that its shortest text has no more; never `-0.0`.
 fn rounded(value: f32) -> f64 {
     (f64::from(value) * 1e6).round() / 1e6 + 0.0
 }

@@ -1,14 +1,19 @@
-//! Which formats there are, and how they are called.
+//! The formats and their names.
 
 use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
 
-use super::{BvhUnit, Dance, FormatError, JsonOptions, to_bvh, to_json};
+use crate::{
+    bvh::{BvhUnit, to_bvh},
+    error::FormatError,
+    json::{JsonOptions, to_json},
+    motion::GeneratedMotion,
+};
 
-/// A format that a dance can be had in.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+/// A file format for motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum OutputFormat {
     /// Positions, codes, music and timings ([`to_json`]).
@@ -23,7 +28,7 @@ impl OutputFormat {
     /// Every format.
     pub const ALL: [Self; 2] = [Self::Json, Self::Bvh];
 
-    /// Its name in options, and the extension of its files.
+    /// Returns its name in options, which is also the extension of its files.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -32,7 +37,8 @@ impl OutputFormat {
         }
     }
 
-    /// Its media type. BVH has no registered one; `application/x-bvh` is the customary name.
+    /// Returns its media type. BVH has no registered one; `application/x-bvh` is the customary
+    /// name.
     #[must_use]
     pub fn content_type(self) -> &'static str {
         match self {
@@ -41,19 +47,19 @@ impl OutputFormat {
         }
     }
 
-    /// Writes a dance in this format.
+    /// Writes a motion in this format.
     ///
     /// # Errors
     /// As [`to_json`] and [`to_bvh`].
     pub fn write(
         self,
-        dance: &Dance,
+        motion: &GeneratedMotion,
         json: &JsonOptions,
         unit: BvhUnit,
     ) -> Result<Vec<u8>, FormatError> {
         match self {
-            Self::Json => to_json(dance, json),
-            Self::Bvh => to_bvh(dance, unit).map(String::into_bytes),
+            Self::Json => to_json(motion, json),
+            Self::Bvh => to_bvh(motion, unit).map(String::into_bytes),
         }
     }
 }
@@ -62,10 +68,13 @@ impl FromStr for OutputFormat {
     type Err = FormatError;
 
     fn from_str(name: &str) -> Result<Self, FormatError> {
-        Self::ALL
-            .into_iter()
-            .find(|format| format.name().eq_ignore_ascii_case(name))
-            .ok_or_else(|| FormatError::Unknown { got: name.into() })
+        let mut all = Self::ALL.into_iter();
+        let found = all.find(|format| format.name().eq_ignore_ascii_case(name));
+        found.ok_or_else(|| FormatError::Choice {
+            name: "format",
+            got: name.into(),
+            accepted: "json or bvh",
+        })
     }
 }
 
@@ -74,15 +83,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_name_leads_back_to_its_format() {
+    fn names_lead_to_their_formats_and_others_are_refused() {
         for format in OutputFormat::ALL {
             assert_eq!(format.name().parse::<OutputFormat>().unwrap(), format);
         }
-    }
-
-    #[test]
-    fn other_names_are_refused_with_what_there_is() {
-        let error = "fbx".parse::<OutputFormat>().unwrap_err();
-        assert!(error.to_string().ends_with("choose json or bvh"), "{error}");
+        let error = "fbx".parse::<OutputFormat>().unwrap_err().to_string();
+        assert!(error.ends_with("choose json or bvh"), "{error}");
     }
 }

@@ -1,17 +1,18 @@
-//! What a pair of pose codes looks like, as JSON.
+//! The motion of a pair of pose codes, as JSON.
 
-use serde::Serialize;
-use utoipa::ToSchema;
-
-use super::{
-    FormatError,
-    numbers::{Block, Numbers, PoseNumbers},
-};
 use bailando_motion::Positions;
+use serde::Serialize;
 
-/// A pair of pose codes, danced again and again (paper, Fig. 7).
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(as = CodePose)]
+#[cfg(feature = "openapi")]
+use crate::numbers::PoseNumbers;
+use crate::{
+    error::FormatError,
+    numbers::{Block, Encoding, Numbers},
+};
+
+/// The motion of a pair of pose codes, repeated (paper, Fig. 7).
+#[derive(Debug, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = CodePose))]
 pub struct CodePoseJson<'a> {
     /// Code of the upper half of the body.
     upper: u32,
@@ -22,7 +23,7 @@ pub struct CodePoseJson<'a> {
     /// Number of frames.
     frames: usize,
     /// World positions in metres, `[frames][joints][x y z]`, in place.
-    #[schema(value_type = PoseNumbers)]
+    #[cfg_attr(feature = "openapi", schema(value_type = PoseNumbers))]
     positions: Numbers<'a>,
 }
 
@@ -40,6 +41,9 @@ pub fn pose_json(
         lower,
         fps,
         frames: positions.dim().0,
-        positions: Numbers::new(Block::Positions(positions.view()), super::Encoding::Json),
+        positions: Numbers {
+            block: Block::Positions(positions.view()),
+            encoding: Encoding::Json,
+        },
     })?)
 }

@@ -1,6 +1,6 @@
 //! Why a skeleton or motion is not usable.
 
-/// Why a skeleton or motion is not usable.
+/// The reason why a skeleton or motion is not usable.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MotionError {
     /// The skeleton's tables contradict each other.
@@ -9,9 +9,9 @@ pub enum MotionError {
     /// An array does not have the expected shape.
     #[error("expected {expected}, got {got}")]
     Shape {
-        /// What was expected.
+        /// Shape that was expected.
         expected: String,
-        /// What was found.
+        /// Shape that was found.
         got: String,
     },
     /// The motion holds a NaN or an infinity.
@@ -25,7 +25,7 @@ pub enum MotionError {
     /// The frame rate is not one of those offered.
     #[error("fps {got} is not available: choose one of 20, 24, 30, 60")]
     FrameRate {
-        /// What was asked for.
+        /// Frame rate that was asked for.
         got: u32,
     },
 }

@@ -1,16 +1,28 @@
-//! From the decoder's output to a finished motion: root, floor, rotations, frame rate.
+//! From the decoder's output to a finished motion: root, rotations, legs, frame rate, floor.
 
 use ndarray::{ArrayView2, Axis};
+use serde::Serialize;
 
-use super::{Animation, Finisher, MotionError, Positions, Skeleton};
+use crate::{
+    animation::{Animation, FrameQueue, Positions},
+    error::MotionError,
+    floor::lower_foot_heights,
+    floor_tracker::FloorTracker,
+    forward::forward,
+    inverse::{InverseKinematics, Solution},
+    legs::{LegFitter, Legs},
+    resample::Resampler,
+    root::integrate_from,
+    skeleton::Skeleton,
+};
 
-/// Frames between two questions whether to go on.
+/// Frames that [`finish_while`] finishes between two questions.
 const PIECE: usize = 1024;
 
-/// What a motion is finished to.
+/// Frame rate, start and travel of a finished motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FinishOptions {
-    /// Frames per second wanted: one of [`super::FRAME_RATES`].
+    /// Frames per second wanted: one of [`crate::FRAME_RATES`].
     pub fps: u32,
     /// Whether the dancer travels; `false` holds x and z of the root at 0 and keeps y.
     pub root_motion: bool,
@@ -31,8 +43,10 @@ impl Default for FinishOptions {
     }
 }
 
-/// Where a dance's positions come from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The source of a motion's positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
 pub enum PositionsSource {
     /// The decoder's own positions, at its own frame rate.
     Decoder,
@@ -45,16 +59,18 @@ pub enum PositionsSource {
 pub struct Finished {
     /// Rotations and root on the rest skeleton, at the wanted frame rate.
     pub animation: Animation,
-    /// Joint positions `[frames, joints, 3]`, metres. The decoder's own have bones that stretch; the
-    /// animation's feet follow theirs, and its root is within centimetres of theirs.
+    /// Joint positions `[frames, joints, 3]`, metres. The decoder's own have bones that stretch;
+    /// the animation's feet follow theirs, and its root is within centimetres of theirs.
     pub positions: Positions,
     /// Where the positions come from.
     pub source: PositionsSource,
 }
 
 /// Finishes a decoder's output `[frames, 3 * joints]` (root velocity in columns 0..3, other joints
-/// relative to the root, metres): the root starts at the skeleton's `root_height`, slow vertical
-/// drift is removed, rotations are found, legs are bent to the decoder's feet, and the frame rate is
+/// relative to the root, metres).
+///
+/// The root starts at the skeleton's `root_height`, inverse kinematics finds the rotations, the
+/// legs are bent to the decoder's feet, slow vertical drift is removed, and the frame rate is
 /// changed where another is wanted.
 ///
 /// # Errors
@@ -70,7 +86,7 @@ pub fn finish(
     finisher.end()
 }
 
-/// [`finish`] that asks now and then whether to go on; none if not.
+/// [`finish`], given up with `None` as soon as `goes_on` says no.
 ///
 /// # Errors
 /// As [`finish`].
@@ -88,4 +104,211 @@ pub fn finish_while(
         finisher.push(piece)?;
     }
     finisher.end().map(Some)
+}
+
+/// Finishes one motion piece by piece, as [`finish`] does it at once.
+#[derive(Clone, Debug)]
+pub struct Finisher {
+    skeleton: Skeleton,
+    options: FinishOptions,
+    root: [f32; 3],
+    solver: InverseKinematics,
+    solution: Solution,
+    legs: LegFitter,
+    resampler: Resampler,
+    animation: Grounding<Animation>,
+    /// The decoder's own positions, where they have the wanted frame rate.
+    decoder: Option<Grounding<Positions>>,
+}
+
+/// Frames on their way to the floor; `lifts` holds what is to be added to the height of the first.
+#[derive(Clone, Debug)]
+struct Grounding<T> {
+    floor: FloorTracker,
+    frames: T,
+    lifts: Vec<f32>,
+}
+
+impl Finisher {
+    /// Creates a finisher that releases each frame as soon as its floor is settled, 2.5 s after it
+    /// came in: heights differ from those of the whole motion by a few centimetres at most.
+    ///
+    /// # Errors
+    /// As [`finish`].
+    pub fn new(skeleton: &Skeleton, options: &FinishOptions) -> Result<Self, MotionError> {
+        Self::with_floor(skeleton, options, FloorTracker::streaming(options.fps))
+    }
+
+    /// Creates a finisher that releases the whole motion at its end.
+    fn whole(skeleton: &Skeleton, options: &FinishOptions) -> Result<Self, MotionError> {
+        Self::with_floor(skeleton, options, FloorTracker::whole(options.fps))
+    }
+
+    fn with_floor(
+        skeleton: &Skeleton,
+        options: &FinishOptions,
+        floor: FloorTracker,
+    ) -> Result<Self, MotionError> {
+        let solver = InverseKinematics::new(skeleton)?;
+        let [x, z] = options.start;
+        let decoder = (options.fps == options.decoded_fps)
+            .then(|| Grounding::new(floor.clone(), Positions::zeros((0, 0, 3))));
+        Ok(Self {
+            skeleton: skeleton.clone(),
+            options: *options,
+            root: [x, skeleton.root_height, z],
+            solution: solver.start(options.decoded_fps),
+            solver,
+            legs: Legs::new(skeleton).fit(options.decoded_fps),
+            resampler: Resampler::new(options.decoded_fps, options.fps)?,
+            animation: Grounding::new(floor, Animation::empty(options.fps)),
+            decoder,
+        })
+    }
+
+    /// Takes the next rows of decoded motion `[frames, 3 joints]`; returns the frames that are
+    /// settled, which may be none.
+    ///
+    /// # Errors
+    /// [`MotionError::Shape`] if the columns are not the skeleton's, [`MotionError::NotFinite`] for
+    /// a NaN or an infinity.
+    pub fn push(&mut self, decoded: ArrayView2<'_, f32>) -> Result<Finished, MotionError> {
+        let decoded = integrate_from(decoded, &mut self.root)?;
+        let solved = self.solver.continue_from(&mut self.solution, &decoded)?;
+        let fitted = self.legs.push(solved, &decoded);
+        let resampled = self.resampler.push(fitted);
+        self.ground(resampled)?;
+        if let Some(decoder) = &mut self.decoder {
+            let heights = lower_foot_heights(&decoded, &self.skeleton);
+            decoder.push(decoded, heights);
+        }
+        self.release()
+    }
+
+    /// Returns the rest of the motion.
+    ///
+    /// # Errors
+    /// As [`Finisher::push`].
+    pub fn end(&mut self) -> Result<Finished, MotionError> {
+        let fitted = self.legs.end();
+        let mut resampled = self.resampler.push(fitted);
+        resampled.push_frames(self.resampler.end());
+        self.ground(resampled)?;
+        self.animation.end();
+        if let Some(decoder) = &mut self.decoder {
+            decoder.end();
+        }
+        self.release()
+    }
+
+    /// Stands the skeleton on the floor by its own feet. They are where the decoder's are, but for
+    /// legs that cannot reach, so this is the decoder's correction to within millimetres.
+    fn ground(&mut self, mut resampled: Animation) -> Result<(), MotionError> {
+        if !self.options.root_motion {
+            for root in &mut resampled.root {
+                (root.x, root.z) = (0.0, 0.0);
+            }
+        }
+        let heights = lower_foot_heights(&forward(&self.skeleton, &resampled)?, &self.skeleton);
+        self.animation.push(resampled, heights);
+        Ok(())
+    }
+
+    /// Releases the frames whose floor is settled for rotations and positions.
+    fn release(&mut self) -> Result<Finished, MotionError> {
+        let settled = self.animation.lifts.len();
+        let Some(decoder) = &mut self.decoder else {
+            let animation = self.animation.release(settled);
+            return Ok(Finished {
+                positions: forward(&self.skeleton, &animation)?,
+                animation,
+                source: PositionsSource::ForwardKinematics,
+            });
+        };
+        let count = settled.min(decoder.lifts.len());
+        Ok(Finished {
+            animation: self.animation.release(count),
+            positions: decoder.release(count, self.options.root_motion),
+            source: PositionsSource::Decoder,
+        })
+    }
+}
+
+impl<T: FrameQueue> Grounding<T> {
+    fn new(floor: FloorTracker, frames: T) -> Self {
+        Self {
+            floor,
+            frames,
+            lifts: Vec::new(),
+        }
+    }
+
+    fn push(&mut self, frames: T, heights: Vec<f32>) {
+        self.lifts.extend(self.floor.push(heights));
+        self.frames.push_frames(frames);
+    }
+
+    fn end(&mut self) {
+        self.lifts.extend(self.floor.end());
+    }
+}
+
+impl Grounding<Animation> {
+    fn release(&mut self, count: usize) -> Animation {
+        let mut animation = self.frames.take_frames(count);
+        for (root, lift) in animation.root.iter_mut().zip(self.lifts.drain(..count)) {
+            root.y += lift;
+        }
+        animation
+    }
+}
+
+impl Grounding<Positions> {
+    fn release(&mut self, count: usize, root_motion: bool) -> Positions {
+        let mut positions = self.frames.take_frames(count);
+        for (mut pose, lift) in positions.outer_iter_mut().zip(self.lifts.drain(..count)) {
+            let held = match root_motion {
+                true => [0.0, 0.0],
+                false => [pose[[0, 0]], pose[[0, 2]]],
+            };
+            for mut joint in pose.outer_iter_mut() {
+                joint[0] -= held[0];
+                joint[1] += lift;
+                joint[2] -= held[1];
+            }
+        }
+        positions
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_whole_motion_is_not_copied_at_every_push() {
+        let skeleton = Skeleton::fixture();
+        let mut finisher = Finisher::whole(&skeleton, &FinishOptions::default()).unwrap();
+        let rows = ndarray::Array2::zeros((8, 72));
+        let buffers = |finisher: &Finisher| {
+            let decoder = finisher.decoder.as_ref().unwrap();
+            (
+                decoder.frames.as_ptr(),
+                finisher.animation.frames.root.as_ptr(),
+            )
+        };
+        let (mut moved, mut before) = ((0, 0), buffers(&finisher));
+        for _ in 0..256 {
+            finisher.push(rows.view()).unwrap();
+            let now = buffers(&finisher);
+            moved.0 += usize::from(now.0 != before.0);
+            moved.1 += usize::from(now.1 != before.1);
+            before = now;
+        }
+        // A buffer that doubles when it is full moves 9 times on the way to 256 pushes.
+        assert!(
+            moved.0 <= 9 && moved.1 <= 9,
+            "buffers moved {moved:?} times"
+        );
+    }
 }

@@ -9,13 +9,13 @@ const SWEEPS: usize = 12;
 /// axis free (all on one line, or none at all).
 const AMBIGUOUS: f64 = 1e-9;
 
-/// The rotation `q` that minimises `sum |q * from - to|^2` over the pairs `(from, to)`.
+/// Returns the rotation `q` that minimises `sum |q * from - to|^2` over the pairs `(from, to)`.
 ///
 /// Davenport: the unit quaternion that maximises the quadratic form of the 4 x 4 matrix built from
-/// `sum to from^T` is its dominant eigenvector. It is a proper rotation by construction, so a mirrored
-/// pose can't turn the body inside out. Where the pairs leave a choice (degenerate bones), the
-/// admissible rotation nearest to `previous` is taken.
-pub(super) fn best_rotation(pairs: impl Iterator<Item = (DVec3, DVec3)>, previous: DQuat) -> DQuat {
+/// `sum to from^T` is its dominant eigenvector. It is a proper rotation by construction, so a
+/// mirrored pose can't turn the body inside out. Where the pairs leave a choice (degenerate bones),
+/// the admissible rotation nearest to `previous` is taken.
+pub(crate) fn best_rotation(pairs: impl Iterator<Item = (DVec3, DVec3)>, previous: DQuat) -> DQuat {
     let mut s = [[0.0_f64; 3]; 3];
     for (from, to) in pairs {
         for (row, f) in s.iter_mut().zip(from.to_array()) {
@@ -52,7 +52,7 @@ pub(super) fn best_rotation(pairs: impl Iterator<Item = (DVec3, DVec3)>, previou
     }
 }
 
-/// Eigenvalues and unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations.
+/// Returns eigenvalues and unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations.
 fn symmetric_eigen(mut a: [[f64; 4]; 4]) -> ([f64; 4], [[f64; 4]; 4]) {
     // Row i of `vectors` belongs to a[i][i].
     let mut vectors = [[0.0; 4]; 4];
@@ -69,7 +69,7 @@ fn symmetric_eigen(mut a: [[f64; 4]; 4]) -> ([f64; 4], [[f64; 4]; 4]) {
     ([a[0][0], a[1][1], a[2][2], a[3][3]], vectors)
 }
 
-/// One Jacobi rotation that makes `a[p][q]` zero.
+/// Makes `a[p][q]` zero by one Jacobi rotation.
 fn rotate(a: &mut [[f64; 4]; 4], vectors: &mut [[f64; 4]; 4], p: usize, q: usize) {
     if a[p][q] == 0.0 {
         return;
@@ -94,13 +94,13 @@ fn rotate(a: &mut [[f64; 4]; 4], vectors: &mut [[f64; 4]; 4], p: usize, q: usize
     a[q][p] = 0.0;
 }
 
-/// The smallest rotation that takes the unit vector `rest` to the unit vector `direction`, its twist
-/// about `direction` changing by at most `max_twist` radians against `previous`.
+/// Returns the smallest rotation that takes the unit vector `rest` to the unit vector `direction`,
+/// its twist about `direction` changing by at most `max_twist` radians against `previous`.
 ///
-/// Next to the direction opposite to `rest` the smallest rotation spins arbitrarily fast, and at it it
-/// does not exist; there the twist of the previous frame is carried along, and given back at the
+/// Next to the direction opposite to `rest` the smallest rotation spins arbitrarily fast, and at it
+/// it does not exist; there the twist of the previous frame is carried along, and given back at the
 /// permitted rate afterwards.
-pub(super) fn smallest_rotation(
+pub(crate) fn smallest_rotation(
     rest: DVec3,
     direction: DVec3,
     previous: Option<DQuat>,
@@ -123,6 +123,15 @@ pub(super) fn smallest_rotation(
     }
     let permitted = twist.clamp(-max_twist, max_twist);
     (DQuat::from_axis_angle(direction, permitted) * carried).normalize()
+}
+
+/// Returns that quaternion of a rotation that lies nearer to `previous`.
+pub(crate) fn nearer_sign(rotation: DQuat, previous: DQuat) -> DQuat {
+    if rotation.dot(previous) < 0.0 {
+        -rotation
+    } else {
+        rotation
+    }
 }
 
 #[cfg(test)]
@@ -148,15 +157,20 @@ mod tests {
     proptest! {
         #[test]
         fn recovers_the_rotation_of_exact_pairs(q in quaternion(), previous in quaternion()) {
-            let bones = [DVec3::new(0.06, -0.08, -0.02), DVec3::new(-0.06, -0.09, -0.01), DVec3::new(0.0, 0.12, -0.04)];
+            let bones = [[0.06, -0.08, -0.02], [-0.06, -0.09, -0.01], [0.0, 0.12, -0.04]];
+            let bones = bones.map(DVec3::from_array);
             let found = best_rotation(bones.iter().map(|&b| (b, q * b)), previous);
             prop_assert!(angle_between(found, q) < 1e-6);
         }
 
         #[test]
-        fn no_small_turn_fits_better(pairs in prop::collection::vec((vector(), vector()), 3), axis in vector()) {
+        fn no_small_turn_fits_better(
+            pairs in prop::collection::vec((vector(), vector()), 3),
+            axis in vector(),
+        ) {
             prop_assume!(axis.length() > 0.1);
-            let cost = |q: DQuat| pairs.iter().map(|&(f, t)| (q * f - t).length_squared()).sum::<f64>();
+            let errors = |q: DQuat| pairs.iter().map(move |&(f, t)| (q * f - t).length_squared());
+            let cost = |q| errors(q).sum::<f64>();
             let best = best_rotation(pairs.iter().copied(), DQuat::IDENTITY);
             for angle in [-0.5, -1e-2, 1e-2, 0.5, 3.0] {
                 let other = DQuat::from_axis_angle(axis.normalize(), angle) * best;
@@ -165,13 +179,19 @@ mod tests {
         }
 
         #[test]
-        fn a_line_is_matched_by_the_rotation_nearest_to_the_previous(q in quaternion(), previous in quaternion()) {
+        fn a_line_gets_the_rotation_nearest_to_the_previous(
+            q in quaternion(),
+            previous in quaternion(),
+        ) {
             let line = DVec3::new(0.0, 0.3, 0.0);
             let to = q * line;
-            let found = best_rotation([(line, to), (line * 2.0, to * 2.0)].into_iter(), previous);
+            let pairs = [(line, to), (line * 2.0, to * 2.0)];
+            let found = best_rotation(pairs.into_iter(), previous);
             prop_assert!((found * line - to).length() < 1e-6);
-            let carried = DQuat::from_rotation_arc((previous * line).normalize(), to.normalize()) * previous;
-            prop_assert!((angle_between(found, previous) - angle_between(carried, previous)).abs() < 1e-5);
+            let before = (previous * line).normalize();
+            let carried = DQuat::from_rotation_arc(before, to.normalize()) * previous;
+            let difference = angle_between(found, previous) - angle_between(carried, previous);
+            prop_assert!(difference.abs() < 1e-5);
         }
     }
 
@@ -186,26 +206,23 @@ mod tests {
     fn twist_is_bounded_through_the_opposite_direction() {
         let rest = DVec3::NEG_Y;
         let mut previous = None;
-        let mut last = DQuat::IDENTITY;
         for step in 0..=400 {
-            // Passes 0.001 rad beside straight up, where the smallest rotation would spin by almost pi.
+            // Passes 0.001 rad beside straight up, where the smallest rotation would spin by almost
+            // pi.
             let swing = f64::from(step) / 400.0 * std::f64::consts::TAU;
             let direction = DVec3::new(0.001, -swing.cos(), swing.sin()).normalize();
             let q = smallest_rotation(rest, direction, previous, 0.1);
             assert!((q * rest - direction).length() < 1e-9);
-            if previous.is_some() {
-                assert!(
-                    angle_between(q, last) < 0.12,
-                    "step {step}: {}",
-                    angle_between(q, last)
-                );
-            }
-            (previous, last) = (Some(q), q);
+            let turn = previous.map_or(0.0, |last| angle_between(q, last));
+            assert!(turn < 0.12, "step {step}: {turn}");
+            previous = Some(q);
         }
+        let last = previous.unwrap();
         let smallest = DQuat::from_rotation_arc(rest, last * rest);
+        let twist = angle_between(last, smallest);
         assert!(
-            angle_between(last, smallest) < 1e-6,
-            "back at rest the twist has been given back"
+            twist < 1e-6,
+            "back at rest the twist has been given back: {twist}"
         );
     }
 

@@ -1,11 +1,12 @@
 //! Standing on the floor: removal of slow vertical drift (DESIGN.md, "Standing on the floor").
 //!
-//! The root is an integral of predicted velocities, so small errors add up to a slow drift. A dancer's
-//! lower foot, however, keeps coming back to the floor. The correction is a smooth curve, found so
-//! that in short windows all along the dance the 5th percentile of the lower foot's height is where
-//! recordings have it. A low percentile ignores jumps: some frames of every window are on the ground.
+//! The root is an integral of predicted velocities, so small errors add up to a slow drift. A
+//! dancer's lower foot, however, keeps coming back to the floor. The correction is a smooth curve,
+//! fitted so that in short windows all along the motion the 5th percentile of the lower foot's
+//! height is where recordings have it. A low percentile ignores jumps: some frames of every window
+//! are on the ground.
 
-use super::{Positions, Skeleton};
+use crate::{animation::Positions, skeleton::Skeleton};
 
 /// Height of the lower foot joint of a standing dancer, metres (recordings: 0.006 to 0.022).
 pub const STANDING_HEIGHT: f32 = 0.015;
@@ -14,9 +15,9 @@ const QUANTILE: f64 = 0.05;
 /// Distance between the knots of the correction, and length of the window that each one watches,
 /// seconds. Every 5 s hold at least two whole windows; a leap is over within one.
 const KNOT_SECONDS: f64 = 5.0 / 3.0;
-/// Share of a knot's distance from the line between its neighbours that is taken back every round.
-/// Without it a knot can be driven away by low steps at the edges of its window, where it has little
-/// influence, and lift the dancer off the floor between them.
+/// Share of a knot's distance from the line between its neighbours that every round takes back.
+/// Without it, low steps at the edges of a window, where its knot has little influence, can drive
+/// the knot away and lift the dancer off the floor between them.
 const STIFFNESS: f64 = 0.05;
 /// Largest error over 5 s that is left alone, metres.
 const TOLERATED: f64 = 0.015;
@@ -24,7 +25,7 @@ const TOLERATED: f64 = 0.015;
 /// errors over 5 s would be counted twice.
 const ROUNDS: usize = 60;
 
-/// Height of the lower foot joint in every frame, metres.
+/// Returns the height of the lower foot joint in every frame, metres.
 #[must_use]
 pub fn lower_foot_heights(positions: &Positions, skeleton: &Skeleton) -> Vec<f32> {
     let feet = skeleton.foot_joints();
@@ -39,9 +40,9 @@ pub fn lower_foot_heights(positions: &Positions, skeleton: &Skeleton) -> Vec<f32
         .collect()
 }
 
-/// What to add to the root's height in every frame so that the lower foot, at `heights` metres now,
-/// keeps coming down to [`STANDING_HEIGHT`]. A twice continuously differentiable curve (cubic
-/// B-spline) whose detail is no finer than seconds.
+/// Returns the lift of the root in every frame, metres, with which the lower foot, at `heights`
+/// metres now, keeps coming down to [`STANDING_HEIGHT`]: a twice continuously differentiable curve
+/// (cubic B-spline) whose detail is no finer than seconds.
 #[must_use]
 pub fn floor_correction(heights: &[f32], fps: u32) -> Vec<f32> {
     if heights.is_empty() || fps == 0 {
@@ -50,7 +51,7 @@ pub fn floor_correction(heights: &[f32], fps: u32) -> Vec<f32> {
     let last = heights.len() - 1;
     let spans = (last as f64 / (KNOT_SECONDS * f64::from(fps))).round() as usize;
     if spans < 2 {
-        // Shorter than a window: only the level can be told, not how it drifts.
+        // Shorter than a window: only the level can be known, not its drift.
         let error = quantile(&mut heights.to_vec()) - f64::from(STANDING_HEIGHT);
         return vec![-error as f32; heights.len()];
     }
@@ -73,8 +74,8 @@ pub fn floor_correction(heights: &[f32], fps: u32) -> Vec<f32> {
         };
         for (knot, error) in errors.iter_mut().enumerate() {
             let middle = knot as f64;
-            // Half of the window is missing at the ends; some of it is made up for, so that a leap
-            // does not fill what is left.
+            // The ends lack half of their window. Reaching further makes up for some of it, so that
+            // a leap does not fill the rest.
             let at_end = knot == 0 || knot == spans;
             let reach = if at_end { 2.0 / 3.0 } else { 0.5 };
             *error = error_of(middle - reach, 2.0 * reach);
@@ -93,7 +94,7 @@ pub fn floor_correction(heights: &[f32], fps: u32) -> Vec<f32> {
         .collect()
 }
 
-/// The quantile, interpolated linearly between neighbours; reorders `values`.
+/// Returns the quantile, interpolated linearly between neighbours; reorders `values`.
 fn quantile(values: &mut [f32]) -> f64 {
     if values.is_empty() {
         return f64::from(STANDING_HEIGHT);
@@ -172,17 +173,20 @@ mod tests {
 
     /// Largest distance of the 5th percentile from the standing height in any 5 s.
     fn worst(heights: &[f32]) -> f32 {
-        heights
-            .windows((5 * FPS).min(heights.len()))
-            .map(|window| {
-                let mut sorted = window.to_vec();
-                sorted.sort_by(f32::total_cmp);
-                let place = 0.05 * (sorted.len() - 1) as f32;
-                let (low, part) = (place as usize, place.fract());
-                let high = sorted[(low + 1).min(sorted.len() - 1)];
-                (sorted[low] + part * (high - sorted[low]) - STANDING_HEIGHT).abs()
-            })
-            .fold(0.0, f32::max)
+        let windows = heights.windows((5 * FPS).min(heights.len()));
+        let errors = windows.map(|window| {
+            let mut sorted = window.to_vec();
+            sorted.sort_by(f32::total_cmp);
+            let place = 0.05 * (sorted.len() - 1) as f32;
+            let (low, part) = (place as usize, place.fract());
+            let high = sorted[(low + 1).min(sorted.len() - 1)];
+            (sorted[low] + part * (high - sorted[low]) - STANDING_HEIGHT).abs()
+        });
+        errors.fold(0.0, f32::max)
+    }
+
+    fn highest(heights: &[f32]) -> f32 {
+        heights.iter().copied().fold(0.0, f32::max)
     }
 
     fn corrected(heights: &[f32]) -> Vec<f32> {
@@ -231,20 +235,20 @@ mod tests {
             heights[frame] = STANDING_HEIGHT + 0.3 * (i as f32 / 54.0 * std::f32::consts::PI).sin();
         }
         let after = corrected(&heights);
-        let top = after[leap].iter().copied().fold(0.0, f32::max);
+        let top = highest(&after[leap]);
         assert!((top - 0.3 - STANDING_HEIGHT).abs() < 0.02, "{top} m");
         assert!(worst(&after) < 0.02);
     }
 
     #[test]
-    fn low_steps_now_and_then_lift_nobody_between_them() {
-        // A dancer whose feet rest at 3 cm and touch lower for a moment, at every distance.
+    fn rare_low_steps_do_not_lift_the_dancer_between_them() {
+        // Feet rest at 3 cm and touch lower for a moment, at every distance.
         for distance in [40, 75, 100, 130, 150, 200] {
             let heights: Vec<f32> = (0..30 * FPS)
                 .map(|i| if i % distance < 9 { 0.005 } else { 0.03 })
                 .collect();
             let after = corrected(&heights);
-            let highest = after.iter().copied().fold(0.0, f32::max);
+            let highest = highest(&after);
             assert!(highest < 0.06, "every {distance} frames: {highest} m");
             assert!(worst(&after) < 0.02);
         }
@@ -256,20 +260,11 @@ mod tests {
         for (i, h) in heights.iter_mut().enumerate() {
             *h += 0.2 * (i as f32 / FPS as f32 * 0.5).sin();
         }
-        let lift = floor_correction(&heights, FPS as u32);
-        for three in lift.windows(3) {
-            let per_frame = (three[1] - three[0]).abs();
-            let change = (three[2] - 2.0 * three[1] + three[0]).abs();
-            assert!(
-                per_frame * (FPS as f32) < 0.4,
-                "{} m/s",
-                per_frame * FPS as f32
-            );
-            assert!(
-                change * ((FPS * FPS) as f32) < 1.5,
-                "{} m/s^2",
-                change * (FPS * FPS) as f32
-            );
+        for three in floor_correction(&heights, FPS as u32).windows(3) {
+            let speed = (three[1] - three[0]).abs() * FPS as f32;
+            let acceleration = (three[2] - 2.0 * three[1] + three[0]).abs() * (FPS * FPS) as f32;
+            assert!(speed < 0.4, "{speed} m/s");
+            assert!(acceleration < 1.5, "{acceleration} m/s^2");
         }
     }
 }

@@ -1,10 +1,15 @@
 //! Forward kinematics: local rotations on the rest skeleton to joint positions.
 
 use glam::{Quat, Vec3};
+use ndarray::aview1;
 
-use super::{Animation, MotionError, Positions, Skeleton};
+use crate::{
+    animation::{Animation, Positions},
+    error::MotionError,
+    skeleton::Skeleton,
+};
 
-/// World positions `[frames, joints, 3]` in metres of an animation on a skeleton.
+/// Returns the world positions `[frames, joints, 3]` in metres of an animation on a skeleton.
 ///
 /// # Errors
 /// [`MotionError::Skeleton`] if the skeleton contradicts itself, [`MotionError::Shape`] if the
@@ -13,32 +18,28 @@ pub fn forward(skeleton: &Skeleton, animation: &Animation) -> Result<Positions, 
     skeleton.validate()?;
     let joints = skeleton.joints.len();
     let frames = animation.rotations.len();
-    if animation.root.len() != frames || animation.rotations.iter().any(|r| r.len() != joints) {
+    let roots = animation.root.len();
+    if roots != frames || animation.rotations.iter().any(|r| r.len() != joints) {
         return Err(MotionError::Shape {
             expected: format!("one root and {joints} rotations in every frame"),
-            got: format!(
-                "{} roots, {frames} frames of rotations",
-                animation.root.len()
-            ),
+            got: format!("{roots} roots, {frames} frames of rotations"),
         });
     }
     let mut positions = Positions::zeros((frames, joints, 3));
-    let mut turned = vec![Quat::IDENTITY; joints];
-    let mut places = vec![Vec3::ZERO; joints];
+    let mut world = vec![(Vec3::ZERO, Quat::IDENTITY); joints];
     let poses = animation.root.iter().zip(&animation.rotations);
     for ((&root, rotations), mut pose) in poses.zip(positions.outer_iter_mut()) {
         for (joint, &local) in rotations.iter().enumerate() {
-            (places[joint], turned[joint]) = match skeleton.parent(joint) {
+            world[joint] = match skeleton.parent(joint) {
                 None => (root, local),
                 Some(parent) => {
-                    let offset = Vec3::from_array(skeleton.offsets[joint]);
-                    let place = places[parent] + turned[parent] * offset;
-                    (place, (turned[parent] * local).normalize())
+                    let (position, rotation) = world[parent];
+                    let position = position + rotation * skeleton.offset(joint);
+                    (position, (rotation * local).normalize())
                 }
             };
-            for (cell, value) in pose.row_mut(joint).iter_mut().zip(places[joint].to_array()) {
-                *cell = value;
-            }
+            pose.row_mut(joint)
+                .assign(&aview1(&world[joint].0.to_array()));
         }
     }
     Ok(positions)

@@ -1,28 +1,31 @@
-//! In which frame a model knows motion.
+//! The frame of reference in which a model knows motion.
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-use super::{MotionError, facing::turn_on, facing_columns};
+use crate::{
+    error::MotionError,
+    heading::{dancer_columns, turn_from},
+};
 
-/// In which frame a model knows motion.
+/// The frame of reference in which a model knows motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MotionFrame {
     /// The world's directions, as published: three columns per joint.
     #[default]
     World,
-    /// Every pose facing +z, and a last column that turns it ([`super::to_dancer_frame`]).
+    /// Every pose heading for +z, and a last column that turns it ([`crate::to_dancer_frame`]).
     Dancer,
 }
 
 impl MotionFrame {
-    /// Columns that motion of this many joints has.
+    /// Returns the number of columns of a motion of so many joints.
     #[must_use]
     pub const fn columns(self, joints: usize) -> usize {
         match self {
             Self::World => 3 * joints,
-            Self::Dancer => facing_columns(joints),
+            Self::Dancer => dancer_columns(joints),
         }
     }
 
@@ -32,7 +35,7 @@ impl MotionFrame {
         *self == Self::World
     }
 
-    /// A whole piece of motion in this frame as `[frames, 3 joints]` in world directions: turns are
+    /// Turns a whole motion in this frame into `[frames, 3 joints]` in world directions: turns are
     /// summed from its first frame.
     ///
     /// # Errors
@@ -42,34 +45,35 @@ impl MotionFrame {
     }
 }
 
-/// Brings the motion of one dance into world directions, piece by piece.
+/// A converter of one motion into world directions, piece by piece.
 #[derive(Clone, Copy, Debug)]
 pub struct ToWorld {
     frame: MotionFrame,
-    facing: f64,
+    heading: f64,
 }
 
 impl ToWorld {
-    /// For motion in `frame`, whose first pose faces `facing` radians about +y from +z.
+    /// Creates a converter for motion in `frame` whose first pose has this heading, in radians
+    /// about +y from +z.
     #[must_use]
-    pub fn new(frame: MotionFrame, facing: f64) -> Self {
-        Self { frame, facing }
+    pub fn new(frame: MotionFrame, heading: f64) -> Self {
+        Self { frame, heading }
     }
 
-    /// The next frames, `[frames, 3 joints]` in world directions.
+    /// Converts the next frames to `[frames, 3 joints]` in world directions.
     ///
     /// # Errors
     /// [`MotionError::Shape`] if the columns are not those of the frame.
     pub fn push(&mut self, motion: Array2<f32>) -> Result<Array2<f32>, MotionError> {
         match self.frame {
             MotionFrame::World => Ok(motion),
-            MotionFrame::Dancer => turn_on(motion.view(), &mut self.facing),
+            MotionFrame::Dancer => turn_from(motion.view(), &mut self.heading),
         }
     }
 
-    /// Where the next frame faces, in radians; the first facing where the frame is the world's.
+    /// Returns the heading of the next frame, in radians; the first heading in the world's frame.
     #[must_use]
-    pub fn facing(&self) -> f64 {
-        self.facing
+    pub fn heading(&self) -> f64 {
+        self.heading
     }
 }

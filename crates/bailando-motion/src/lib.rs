@@ -1,55 +1,59 @@
-//! Skeleton, root integration, rotations by inverse kinematics, forward kinematics, the floor,
-//! and resampling of the frame rate.
+//! Motion of a skeleton: from a decoder's output to rotations and positions that stand on the
+//! floor.
 //!
-//! Metres, y up, right-handed; the rest pose faces +z with the left side at +x.
+//! Metres, y up, right-handed; the rest pose faces +z with the left side at +x. [`finish`] runs the
+//! whole chain on one motion, [`Finisher`] on a motion that is still being decoded.
+//!
+//! ```
+//! use bailando_motion::{FinishOptions, Skeleton, finish};
+//!
+//! let skeleton = Skeleton {
+//!     joints: vec!["pelvis".into(), "l_foot".into()],
+//!     parents: vec![-1, 0],
+//!     offsets: vec![[0.0; 3], [0.0, -0.9, 0.1]],
+//!     root_height: 0.9,
+//! };
+//! // Two seconds at 60 frames a second: root velocity, then the foot relative to the root.
+//! let frame = [0.01, 0.0, 0.0, 0.0, -0.9, 0.1];
+//! let decoded = ndarray::Array2::from_shape_fn((120, 6), |(_, column)| frame[column]);
+//! let options = FinishOptions { fps: 30, ..FinishOptions::default() };
+//! let motion = finish(decoded.view(), &skeleton, &options)?;
+//! assert_eq!(motion.positions.dim(), (60, 2, 3));
+//! // The foot joint of a standing dancer is 1.5 cm above the floor.
+//! assert!((motion.positions[[0, 1, 1]] - 0.015).abs() < 1e-3);
+//! # Ok::<(), bailando_motion::MotionError>(())
+//! ```
 
+mod animation;
 mod beats;
 mod error;
-mod facing;
 mod finish;
-mod finisher;
 mod fit;
 mod floor;
-mod floor_line;
+mod floor_tracker;
 mod forward;
 mod frame;
-mod frames;
+mod heading;
 mod inverse;
 mod leg;
+mod legs;
 mod resample;
 mod root;
 mod skeleton;
 mod smooth;
-#[cfg(test)]
-mod tests;
 mod two_bones;
 
-pub use beats::{beat_meeting, beat_nearness, dance_beats, joint_speed, slow_share, smoothed};
+pub use animation::{Animation, Positions};
+pub use beats::{
+    beat_align_score, dance_beats, joint_speed, mutual_beat_alignment, slow_share, smoothed,
+};
 pub use error::MotionError;
-pub use facing::{facing_columns, facings, to_dancer_frame, to_world_frame};
-pub use finish::{FinishOptions, Finished, PositionsSource, finish, finish_while};
-pub use finisher::Finisher;
+pub use finish::{FinishOptions, Finished, Finisher, PositionsSource, finish, finish_while};
 pub use floor::{STANDING_HEIGHT, floor_correction, lower_foot_heights};
 pub use forward::forward;
 pub use frame::{MotionFrame, ToWorld};
+pub use heading::{headings, to_dancer_frame, to_world_frame};
 pub use inverse::InverseKinematics;
 pub use resample::{FRAME_RATES, resample};
 pub use root::integrate_root;
 pub use skeleton::Skeleton;
-
-use glam::{Quat, Vec3};
-use ndarray::Array3;
-
-/// Joint positions in metres, world space: `[frames, joints, 3]`.
-pub type Positions = Array3<f32>;
-
-/// A motion as local rotations on a skeleton.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Animation {
-    /// Frames per second.
-    pub fps: u32,
-    /// World position of the root joint, one per frame, metres.
-    pub root: Vec<Vec3>,
-    /// Local unit quaternions, `[frame][joint]`, sign-continuous along time.
-    pub rotations: Vec<Vec<Quat>>,
-}

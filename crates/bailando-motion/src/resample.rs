@@ -2,12 +2,16 @@
 
 use glam::Quat;
 
-use super::{Animation, MotionError};
+use crate::{
+    animation::{Animation, FrameQueue},
+    error::MotionError,
+};
 
-/// Frame rates a dance can be had at (API.md).
+/// Frame rates that a motion can have (API.md).
 pub const FRAME_RATES: [u32; 4] = [20, 24, 30, 60];
 
-/// The same motion at `fps`: spherical interpolation of rotations, linear of the root.
+/// Returns the same motion at `fps`: spherical interpolation of rotations, linear of the root.
+///
 /// `frames = ceil(frames before * fps / fps before)`; a last frame that falls after the last one
 /// given repeats it.
 ///
@@ -16,16 +20,16 @@ pub const FRAME_RATES: [u32; 4] = [20, 24, 30, 60];
 pub fn resample(animation: &Animation, fps: u32) -> Result<Animation, MotionError> {
     let mut resampler = Resampler::new(animation.fps, fps)?;
     let mut resampled = resampler.push(animation.clone());
-    resampled.append(resampler.end());
+    resampled.push_frames(resampler.end());
     Ok(resampled)
 }
 
-/// [`resample`], piece by piece: a frame leaves once the one behind it is known.
+/// [`resample`], piece by piece: a frame is released once the one after it is known.
 #[derive(Clone, Debug)]
-pub(super) struct Resampler {
+pub(crate) struct Resampler {
     from: u64,
     to: u64,
-    /// The next frame to leave.
+    /// Number of the next frame to release.
     next: u64,
     /// Number of frames before those that are kept.
     gone: u64,
@@ -36,7 +40,7 @@ pub(super) struct Resampler {
 impl Resampler {
     /// # Errors
     /// As [`resample`].
-    pub(super) fn new(from: u32, to: u32) -> Result<Self, MotionError> {
+    pub(crate) fn new(from: u32, to: u32) -> Result<Self, MotionError> {
         if !FRAME_RATES.contains(&to) || from == 0 {
             return Err(MotionError::FrameRate { got: to });
         }
@@ -50,40 +54,37 @@ impl Resampler {
         })
     }
 
-    pub(super) fn push(&mut self, animation: Animation) -> Animation {
+    /// Takes the next frames; returns those that lie before the last one known.
+    pub(crate) fn push(&mut self, animation: Animation) -> Animation {
         if self.from == self.to {
             return animation;
         }
-        self.kept.append(animation);
+        self.kept.push_frames(animation);
         let known = self.gone + self.kept.root.len() as u64;
-        // Of the last frame that is known it is not known what follows.
-        self.leave(known.saturating_sub(1))
+        self.release(known.saturating_sub(1))
     }
 
-    /// The rest.
-    pub(super) fn end(&mut self) -> Animation {
-        self.leave(self.gone + self.kept.root.len() as u64)
+    /// Returns the rest.
+    pub(crate) fn end(&mut self) -> Animation {
+        self.release(self.gone + self.kept.root.len() as u64)
     }
 
-    /// Lets all leave that lie before the frame `end` of those that came in.
-    fn leave(&mut self, end: u64) -> Animation {
+    /// Releases all frames that lie before the frame `end` of those that came in.
+    fn release(&mut self, end: u64) -> Animation {
         let mut resampled = Animation::empty(self.to as u32);
+        // In whole numbers, so that existing frames are taken as they are in a motion of any
+        // length.
         while self.next * self.from / self.to < end {
-            // In whole numbers, so that frames which exist are taken as they are however long the dance.
-            let (index, rest) = (
-                self.next * self.from / self.to,
-                self.next * self.from % self.to,
-            );
+            let index = self.next * self.from / self.to;
+            let rest = self.next * self.from % self.to;
             let here = (index - self.gone) as usize;
             let next = (here + 1).min(self.kept.root.len() - 1);
             let part = rest as f32 / self.to as f32;
-            let Animation {
-                root, rotations, ..
-            } = &self.kept;
+            let (root, rotations) = (&self.kept.root, &self.kept.rotations);
             resampled.root.push(root[here].lerp(root[next], part));
             let pairs = rotations[here].iter().zip(&rotations[next]);
             let mut pose: Vec<Quat> = pairs.map(|(&a, &b)| a.slerp(b, part).normalize()).collect();
-            // Frames that were neighbours no longer are.
+            // Signs are continuous between neighbours in the input, which these no longer are.
             for (q, &before) in pose.iter_mut().zip(&self.last) {
                 if q.dot(before) < 0.0 {
                     *q = -*q;
@@ -94,7 +95,7 @@ impl Resampler {
             self.next += 1;
         }
         let done = (self.next * self.from / self.to).min(end) - self.gone;
-        self.kept.take_front(done as usize);
+        self.kept.take_frames(done as usize);
         self.gone += done;
         resampled
     }
@@ -108,11 +109,12 @@ mod tests {
 
     /// One joint that turns about y at a steady rate while the root moves along x.
     fn turning(frames: usize) -> Animation {
+        let seconds = |frame: usize| frame as f32 / 60.0;
         Animation {
             fps: 60,
-            root: (0..frames).map(|i| Vec3::X * (i as f32 / 60.0)).collect(),
+            root: (0..frames).map(|i| Vec3::X * seconds(i)).collect(),
             rotations: (0..frames)
-                .map(|i| vec![Quat::from_rotation_y(3.0 * i as f32 / 60.0)])
+                .map(|i| vec![Quat::from_rotation_y(3.0 * seconds(i))])
                 .collect(),
         }
     }
@@ -141,11 +143,7 @@ mod tests {
                 assert!(pose[0].dot(expected).abs() > 1.0 - 1e-6);
             }
         }
-    }
-
-    #[test]
-    fn existing_frames_are_taken_as_they_are() {
-        let before = turning(301);
+        // Frames that exist are taken as they are.
         let after = resample(&before, 20).unwrap();
         assert_eq!(after.root[100], before.root[300]);
         assert!(after.rotations[7][0].dot(before.rotations[21][0]).abs() > 1.0 - 1e-7);
@@ -165,10 +163,10 @@ mod tests {
 
     #[test]
     fn other_rates_are_refused() {
-        for fps in [0, 1, 25, 59, 120] {
+        for got in [0, 1, 25, 59, 120] {
             assert_eq!(
-                resample(&turning(10), fps),
-                Err(MotionError::FrameRate { got: fps })
+                resample(&turning(10), got),
+                Err(MotionError::FrameRate { got })
             );
         }
     }

@@ -1,11 +1,12 @@
-//! From the decoder's columns to world positions (ARCHITECTURE sections 1 and 2).
+//! Root motion: from the decoder's columns to world positions (ARCHITECTURE sections 1 and 2).
 
 use ndarray::ArrayView2;
 
-use super::{MotionError, Positions};
+use crate::{animation::Positions, error::MotionError};
 
-/// World positions `[frames, joints, 3]` in metres of a decoder's output `[frames, 3 * joints]`:
-/// root velocity per frame in columns 0..3, joints relative to the root elsewhere.
+/// Returns the world positions `[frames, joints, 3]` in metres of a decoder's output
+/// `[frames, 3 * joints]`: root velocity per frame in columns 0..3, joints relative to the root
+/// elsewhere.
 ///
 /// `root[0] = start`, `root[i] = root[i-1] + velocity[i-1]`; every other joint is added to the root
 /// of its frame. Sums run in float32, as in the reference: golden files are met bit for bit.
@@ -17,11 +18,11 @@ pub fn integrate_root(
     decoded: ArrayView2<'_, f32>,
     mut start: [f32; 3],
 ) -> Result<Positions, MotionError> {
-    walk_on(decoded, &mut start)
+    integrate_from(decoded, &mut start)
 }
 
-/// [`integrate_root`] of a piece that starts at `root`, which is moved on to the frame behind its last.
-pub(super) fn walk_on(
+/// [`integrate_root`] from `root`, which is moved on to the frame after the last.
+pub(crate) fn integrate_from(
     decoded: ArrayView2<'_, f32>,
     root: &mut [f32; 3],
 ) -> Result<Positions, MotionError> {
@@ -47,7 +48,7 @@ pub(super) fn walk_on(
 }
 
 /// Refuses NaN and infinities, naming the first.
-pub(super) fn check_finite(positions: &Positions) -> Result<(), MotionError> {
+pub(crate) fn check_finite(positions: &Positions) -> Result<(), MotionError> {
     match positions.indexed_iter().find(|(_, v)| !v.is_finite()) {
         Some(((frame, joint, _), _)) => Err(MotionError::NotFinite { frame, joint }),
         None => Ok(()),
@@ -60,6 +61,10 @@ mod tests {
 
     use super::*;
 
+    fn integrated(decoded: &Array2<f32>) -> Result<Positions, MotionError> {
+        integrate_root(decoded.view(), [0.0, 0.9, 0.0])
+    }
+
     #[test]
     fn velocity_moves_the_next_frame() {
         let decoded = array![
@@ -67,46 +72,28 @@ mod tests {
             [1.0, 0.5, 0.0, 0.1, 0.2, 0.3],
             [9.0, 9.0, 9.0, 0.0, 0.0, 0.0],
         ];
-        let positions = integrate_root(decoded.view(), [0.0, 0.9, 0.0]).unwrap();
-        assert_eq!(
-            positions,
-            array![
-                [[0.0, 0.9, 0.0], [0.1, 1.1, 0.3]],
-                [[1.0, 0.9, -1.0], [1.1, 1.1, -0.7]],
-                [[2.0, 1.4, -1.0], [2.0, 1.4, -1.0]],
-            ]
-        );
+        let expected = array![
+            [[0.0, 0.9, 0.0], [0.1, 1.1, 0.3]],
+            [[1.0, 0.9, -1.0], [1.1, 1.1, -0.7]],
+            [[2.0, 1.4, -1.0], [2.0, 1.4, -1.0]],
+        ];
+        assert_eq!(integrated(&decoded).unwrap(), expected);
+        let none = integrated(&Array2::zeros((0, 72))).unwrap();
+        assert_eq!(none.dim(), (0, 24, 3));
     }
 
     #[test]
     fn unusable_input_is_refused() {
-        let odd = Array2::<f32>::zeros((4, 71));
-        assert!(matches!(
-            integrate_root(odd.view(), [0.0; 3]),
-            Err(MotionError::Shape { .. })
-        ));
-        let mut poisoned = Array2::<f32>::zeros((4, 72));
+        let odd = integrated(&Array2::zeros((4, 71)));
+        assert!(matches!(odd, Err(MotionError::Shape { .. })));
+        let mut poisoned = Array2::zeros((4, 72));
         poisoned[[2, 31]] = f32::NAN;
+        let (frame, joint) = (2, 10);
         assert_eq!(
-            integrate_root(poisoned.view(), [0.0; 3]),
-            Err(MotionError::NotFinite {
-                frame: 2,
-                joint: 10
-            })
+            integrated(&poisoned),
+            Err(MotionError::NotFinite { frame, joint })
         );
-        let huge = Array2::<f32>::from_elem((4, 6), f32::MAX);
-        assert!(matches!(
-            integrate_root(huge.view(), [0.0; 3]),
-            Err(MotionError::NotFinite { .. })
-        ));
-    }
-
-    #[test]
-    fn no_frames_give_no_positions() {
-        let empty = Array2::<f32>::zeros((0, 72));
-        assert_eq!(
-            integrate_root(empty.view(), [0.0; 3]).unwrap().dim(),
-            (0, 24, 3)
-        );
+        let overflow = integrated(&Array2::from_elem((4, 6), f32::MAX));
+        assert!(matches!(overflow, Err(MotionError::NotFinite { .. })));
     }
 }

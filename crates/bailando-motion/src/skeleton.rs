@@ -1,10 +1,14 @@
 //! The rest skeleton: names, parents and offsets.
 
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-use super::MotionError;
+use crate::error::MotionError;
 
-/// A rest skeleton, metres, y up, right-handed, facing +z, left = +x.
+/// Joints this close to the height of the lowest one are feet, metres.
+const FOOT_HEIGHT: f32 = 0.05;
+
+/// A rest skeleton, metres, y up, right-handed, heading for +z, left = +x.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Skeleton {
@@ -29,11 +33,10 @@ impl Skeleton {
         if joints == 0 {
             return fail("it has no joints".into());
         }
-        if self.parents.len() != joints || self.offsets.len() != joints {
+        let (parents, offsets) = (self.parents.len(), self.offsets.len());
+        if parents != joints || offsets != joints {
             return fail(format!(
-                "{joints} joints, {} parents and {} offsets: the three must be equal",
-                self.parents.len(),
-                self.offsets.len()
+                "{joints} joints, {parents} parents and {offsets} offsets: the three must be equal"
             ));
         }
         for (joint, &parent) in self.parents.iter().enumerate() {
@@ -43,15 +46,13 @@ impl Skeleton {
             };
             if !fits {
                 return fail(format!(
-                    "joint {joint} has parent {parent}: the root comes first with -1, every other joint after its parent"
+                    "joint {joint} has parent {parent}: the root comes first with -1, every other \
+                     joint after its parent"
                 ));
             }
         }
-        if let Some(joint) = self
-            .offsets
-            .iter()
-            .position(|o| o.iter().any(|v| !v.is_finite()))
-        {
+        let infinite = |offset: &[f32; 3]| !offset.iter().all(|v| v.is_finite());
+        if let Some(joint) = self.offsets.iter().position(infinite) {
             return fail(format!("the offset of joint {joint} is not finite"));
         }
         if !self.root_height.is_finite() {
@@ -60,21 +61,28 @@ impl Skeleton {
         Ok(())
     }
 
-    /// Parent of `joint`; none for the root.
+    /// Returns the parent of `joint`; `None` for the root.
     #[must_use]
     pub fn parent(&self, joint: usize) -> Option<usize> {
-        self.parents
-            .get(joint)
-            .and_then(|&p| usize::try_from(p).ok())
+        let parent = self.parents.get(joint)?;
+        usize::try_from(*parent).ok()
     }
 
-    /// The joints that stand on the floor: those named `l_foot` and `r_foot` (SMPL 10 and 11), else
-    /// the lowest joint of the rest pose and its equals within 5 cm.
+    /// Returns the offset of `joint` from its parent in the rest pose, metres.
+    ///
+    /// # Panics
+    /// If the skeleton has no such joint.
+    #[must_use]
+    pub fn offset(&self, joint: usize) -> Vec3 {
+        self.offsets[joint].into()
+    }
+
+    /// Returns the joints that stand on the floor: those named `l_foot` and `r_foot` (SMPL 10 and
+    /// 11), else the lowest joint of the rest pose and its equals within 5 cm.
     #[must_use]
     pub fn foot_joints(&self) -> Vec<usize> {
-        let named: Vec<usize> = (0..self.joints.len())
-            .filter(|&joint| matches!(self.joints[joint].as_str(), "l_foot" | "r_foot"))
-            .collect();
+        let is_foot = |joint: &usize| matches!(self.joints[*joint].as_str(), "l_foot" | "r_foot");
+        let named: Vec<usize> = (0..self.joints.len()).filter(is_foot).collect();
         if !named.is_empty() {
             return named;
         }
@@ -86,7 +94,13 @@ impl Skeleton {
         }
         let lowest = heights.iter().copied().fold(f32::INFINITY, f32::min);
         (0..heights.len())
-            .filter(|&joint| heights[joint] <= lowest + 0.05)
+            .filter(|&joint| heights[joint] <= lowest + FOOT_HEIGHT)
             .collect()
+    }
+
+    /// Returns the skeleton of the motion that models are trained on.
+    #[cfg(test)]
+    pub(crate) fn fixture() -> Self {
+        serde_json::from_str(include_str!("../../../tests/fixtures/motion/skeleton.json")).unwrap()
     }
 }

@@ -1,33 +1,27 @@
 //! A smooth curve above a jagged one.
 
-/// A curve nowhere below `values`, free of jumps, that departs from zero at most `2 * half_width`
-/// samples away from where `values` do: the largest value near each sample, averaged under a
-/// triangle as wide.
-pub(super) fn smooth_upper_bound(values: &[f64], half_width: usize) -> Vec<f64> {
+/// Returns a curve nowhere below `values`, free of jumps, that departs from zero at most `2 *
+/// half_width` samples away from where `values` do: the largest value near each sample, averaged
+/// under a triangle as wide.
+pub(crate) fn smooth_upper_bound(values: &[f64], half_width: usize) -> Vec<f64> {
     if values.iter().all(|&value| value == 0.0) {
         return values.to_vec();
     }
-    let near = |values: &[f64], index: usize| {
+    let near = |index: usize| {
         let end = values.len().min(index + half_width + 1);
         index.saturating_sub(half_width)..end
     };
-    let highest: Vec<f64> = (0..values.len())
-        .map(|index| {
-            let window = &values[near(values, index)];
-            window.iter().copied().fold(f64::NEG_INFINITY, f64::max)
-        })
-        .collect();
-    (0..values.len())
-        .map(|index| {
-            let range = near(&highest, index);
-            let weighted = range.clone().map(|other| {
-                let weight = (half_width + 1 - other.abs_diff(index)) as f64;
-                (weight, weight * highest[other])
-            });
-            let (weight, sum) = weighted.fold((0.0, 0.0), |(w, s), (a, b)| (w + a, s + b));
-            sum / weight
-        })
-        .collect()
+    let highest_near = |index| values[near(index)].iter().copied().fold(f64::MIN, f64::max);
+    let highest: Vec<f64> = (0..values.len()).map(highest_near).collect();
+    let averaged = |index: usize| {
+        let weighted = near(index).map(|other| {
+            let weight = (half_width + 1 - other.abs_diff(index)) as f64;
+            (weight, weight * highest[other])
+        });
+        let (weight, sum) = weighted.fold((0.0, 0.0), |(w, s), (a, b)| (w + a, s + b));
+        sum / weight
+    };
+    (0..values.len()).map(averaged).collect()
 }
 
 #[cfg(test)]
@@ -50,7 +44,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_comes_of_nothing() {
+    fn constants_stay_as_they_are() {
         assert!(smooth_upper_bound(&[], 5).is_empty());
         assert_eq!(smooth_upper_bound(&[0.0; 9], 5), [0.0; 9]);
         assert_eq!(smooth_upper_bound(&[0.3; 9], 0), [0.3; 9]);

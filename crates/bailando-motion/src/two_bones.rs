@@ -2,24 +2,25 @@
 
 use glam::DVec3;
 
-use super::inverse::SHORTEST_BONE;
+use crate::inverse::SHORTEST_BONE;
 
 /// Share of the full length up to which a leg follows without softening.
 const FREE_EXTENSION: f64 = 0.97;
 
 /// Lengths of a thigh and a shank, metres.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct TwoBones {
-    pub(super) thigh: f64,
-    pub(super) shank: f64,
+pub(crate) struct TwoBones {
+    pub(crate) thigh: f64,
+    pub(crate) shank: f64,
 }
 
 impl TwoBones {
-    /// How far from the hip the ankle is put when it is wanted at `distance`. Up to [`FREE_EXTENSION`]
-    /// or `extension`, the share of its own length that the leg to be followed extends to, this is
-    /// `distance`. From there the full length is only approached: next to it a millimetre of reach
-    /// moves the knee by centimetres, and a leg cut off at it pops.
-    pub(super) fn reach(&self, distance: f64, extension: f64) -> f64 {
+    /// Returns how far from the hip the ankle is put when it is wanted at `distance`.
+    ///
+    /// Up to [`FREE_EXTENSION`] or `extension`, the share of its own length that the leg to be
+    /// followed extends to, this is `distance`. From there the full length is only approached: next
+    /// to it a millimetre of reach moves the knee by centimetres, and a leg cut off at it pops.
+    pub(crate) fn reach(&self, distance: f64, extension: f64) -> f64 {
         let full = self.thigh + self.shank;
         let shortest = (self.thigh - self.shank).abs();
         let free = full * extension.clamp(FREE_EXTENSION, 1.0);
@@ -33,9 +34,9 @@ impl TwoBones {
         free + left * (1.0 - (-(distance - free) / left).exp())
     }
 
-    /// How far the knee stands off the line from hip to ankle, and how far along the line from the
-    /// hip, with the two `distance` apart.
-    pub(super) fn knee(&self, distance: f64) -> (f64, f64) {
+    /// Returns how far the knee stands off the line from hip to ankle, and how far along the line
+    /// from the hip, with the two `distance` apart.
+    pub(crate) fn knee(&self, distance: f64) -> (f64, f64) {
         let (thigh, shank) = (self.thigh, self.shank);
         let distance = distance.max(SHORTEST_BONE);
         let along = (distance * distance + thigh * thigh - shank * shank) / (2.0 * distance);
@@ -44,8 +45,8 @@ impl TwoBones {
     }
 }
 
-/// The part of `vector` at right angles to the unit vector `axis`.
-pub(super) fn across(vector: DVec3, axis: DVec3) -> DVec3 {
+/// Returns the part of `vector` at right angles to the unit vector `axis`.
+pub(crate) fn perpendicular(vector: DVec3, axis: DVec3) -> DVec3 {
     vector - axis * vector.dot(axis)
 }
 
@@ -58,17 +59,13 @@ mod tests {
         shank: 0.42,
     };
 
-    fn lengths(distance: f64) -> (f64, f64) {
-        let (off, along) = LEG.knee(distance);
-        (off.hypot(along), off.hypot(distance - along))
-    }
-
     #[test]
-    fn what_can_be_reached_is_reached_with_both_lengths_kept() {
+    fn a_distance_within_reach_is_reached_with_both_lengths_kept() {
         for distance in [0.04, 0.1, 0.3, 0.57, 0.7, 0.78] {
             assert_eq!(LEG.reach(distance, 0.5), distance);
-            let (thigh, shank) = lengths(distance);
-            assert!((thigh - LEG.thigh).abs() < 1e-12 && (shank - LEG.shank).abs() < 1e-12);
+            let (off, along) = LEG.knee(distance);
+            assert!((off.hypot(along) - LEG.thigh).abs() < 1e-12);
+            assert!((off.hypot(distance - along) - LEG.shank).abs() < 1e-12);
         }
     }
 
@@ -80,11 +77,8 @@ mod tests {
             let reached = LEG.reach(0.7 + 0.001 * f64::from(step), 0.5);
             assert!(reached >= last && reached - last <= 0.001 + 1e-12 && reached <= 0.81);
             let knee = LEG.knee(reached).0;
-            assert!(
-                last_knee - knee < 0.003,
-                "the knee moves by {} m",
-                last_knee - knee
-            );
+            let moved = last_knee - knee;
+            assert!(moved < 0.003, "the knee moves by {moved} m");
             (last, last_knee) = (reached, knee);
         }
         assert!(last > 0.81 - 1e-6);
@@ -103,11 +97,8 @@ mod tests {
 
     #[test]
     fn nothing_is_divided_by_zero() {
-        let equal = TwoBones {
-            thigh: 0.4,
-            shank: 0.4,
-        };
-        for leg in [LEG, equal] {
+        let (thigh, shank) = (0.4, 0.4);
+        for leg in [LEG, TwoBones { thigh, shank }] {
             for distance in [0.0, 1e-12, 1e9] {
                 for extension in [0.0, 1.0, 5.0] {
                     let reached = leg.reach(distance, extension);

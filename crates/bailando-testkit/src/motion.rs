@@ -6,7 +6,7 @@ use std::{
     time::Duration,
 };
 
-use bailando_formats::{Codes, Dance, MusicInfo, Timings};
+use bailando_formats::{Codes, GeneratedMotion, MusicInfo, Timings};
 use bailando_motion::{FinishOptions, Skeleton, finish};
 use ndarray::{Array2, Array3};
 
@@ -71,10 +71,10 @@ pub fn distances(a: &Array3<f32>, b: &Array3<f32>) -> (f64, f64) {
 }
 
 /// A dance around a motion that looks like a decoder's output.
-pub fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> Dance {
+pub fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> GeneratedMotion {
     let done = finish(decoded.view(), &skeleton(), options).unwrap();
     let codes = decoded.dim().0 as u32 / 8;
-    Dance {
+    GeneratedMotion {
         model: "tiny".into(),
         seed: 7,
         skeleton: skeleton(),
@@ -94,7 +94,7 @@ pub fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> Dance {
             ..Timings::default()
         },
         warnings: vec!["0.1 s of silence were trimmed".into()],
-        tail: None,
+        continuation: None,
     }
 }
 

@@ -11,7 +11,7 @@ use utoipa::{
     },
 };
 
-use crate::{formats::DanceJson, server::error::ErrorBody};
+use crate::{formats::MotionJson, server::error::ErrorBody};
 
 /// What each status means, on every route.
 fn about(status: u16) -> &'static str {
@@ -119,7 +119,7 @@ pub(crate) struct MotionResponse;
 
 impl IntoResponses for MotionResponse {
     fn responses() -> BTreeMap<String, RefOr<Response>> {
-        let json = ("application/json", reference(&DanceJson::name()));
+        let json = ("application/json", reference(&MotionJson::name()));
         let bvh = ("application/x-bvh", text());
         success("The motion.", HEADERS.len(), [json, bvh])
     }

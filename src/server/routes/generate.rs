@@ -9,7 +9,7 @@ use axum::{
 };
 
 use crate::{
-    formats::{Dance, OutputFormat, Timings},
+    formats::{GeneratedMotion, OutputFormat, Timings},
     server::{
         body::IncomingBody,
         envelope::time_header,
@@ -93,7 +93,7 @@ pub(crate) struct Rendered {
 
 impl Rendered {
     pub(crate) fn new(
-        dance: &Dance,
+        dance: &GeneratedMotion,
         body: Vec<u8>,
         format: OutputFormat,
         room: Reservation,
@@ -102,7 +102,10 @@ impl Rendered {
             body,
             format,
             seed: dance.seed,
-            tail: dance.tail.as_ref().map(crate::formats::Tail::to_text),
+            tail: dance
+                .continuation
+                .as_ref()
+                .map(crate::formats::Continuation::to_text),
             timings: dance.timings,
             warnings: dance.warnings.clone(),
             room,

@@ -54,11 +54,6 @@ impl Media {
     }
 }
 
-/// Whether a file with these first bytes is wav or flac, which are large by nature.
-pub(crate) fn is_lossless(prefix: &[u8; 12]) -> bool {
-    prefix.starts_with(b"fLaC") || (prefix.starts_with(b"RIFF") && prefix.ends_with(b"WAVE"))
-}
-
 #[cfg(test)]
 mod tests {
     use axum::http::HeaderValue;
@@ -85,13 +80,5 @@ mod tests {
             media(header::CONTENT_ENCODING, "identity"),
             Some(Media::Raw)
         );
-    }
-
-    #[test]
-    fn wav_and_flac_are_told_from_their_first_bytes() {
-        assert!(is_lossless(b"RIFF\x01\x02\x03\x04WAVE"));
-        assert!(is_lossless(b"fLaC\0\0\0\x22\0\0\0\0"));
-        assert!(!is_lossless(b"RIFF\x01\x02\x03\x04AVI "));
-        assert!(!is_lossless(b"ID3\x04\0\0\0\0\0\0\0\0"));
     }
 }

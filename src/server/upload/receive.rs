@@ -11,8 +11,9 @@ use futures_util::{Stream, StreamExt, TryStreamExt};
 use super::{
     body::{BodyError, IncomingBody},
     form::{FormBody, Kept},
-    media::{Media, is_lossless},
+    media::Media,
 };
+use crate::audio::is_lossless;
 use crate::server::{
     config::{ByteSize, FORM_OVERHEAD, Limits},
     error::ServerError,
@@ -62,7 +63,7 @@ pub(crate) async fn receive(
             let mut audio = AudioBuffer::new(limits, body.declared());
             collect(&mut audio, body, |error| body_error(&error, limits)).await?;
             Upload {
-                audio: audio.finish(),
+                audio: audio.finish()?,
                 options,
             }
         }
@@ -113,7 +114,7 @@ async fn receive_form(
             let mut buffer = AudioBuffer::new(limits, None);
             let field = field.inspect_ok(|chunk| kept.delivered(chunk.len()));
             collect(&mut buffer, field, |error| form_error(&error, limits)).await?;
-            audio = Some(buffer.finish());
+            audio = Some(buffer.finish()?);
         } else {
             let value = read_value(field, &kept, limits).await?;
             options.set(&name, &value)?;
@@ -166,9 +167,6 @@ struct AudioBuffer<'a> {
 }
 
 impl<'a> AudioBuffer<'a> {
-    /// Bytes that identify wav and flac.
-    const PREFIX: usize = 12;
-
     fn new(limits: &'a Limits, declared: Option<u64>) -> Self {
         Self {
             bytes: BytesMut::new(),
@@ -178,32 +176,25 @@ impl<'a> AudioBuffer<'a> {
     }
 
     fn push(&mut self, chunk: &[u8]) -> Result<(), ServerError> {
-        let limit = self.limit(chunk);
-        let total = self.bytes.len() as u64 + chunk.len() as u64;
-        if total.max(self.declared) > limit.0 {
-            return Err(too_large(limit, self.limits));
-        }
         self.bytes.extend_from_slice(chunk);
-        Ok(())
+        self.check(is_lossless(&self.bytes).unwrap_or(true))
     }
 
-    fn limit(&self, chunk: &[u8]) -> ByteSize {
-        let mut prefix = [0; Self::PREFIX];
-        let seen = self.bytes.iter().chain(chunk);
-        let known = prefix
-            .iter_mut()
-            .zip(seen)
-            .map(|(to, from)| *to = *from)
-            .count();
-        if known < Self::PREFIX || is_lossless(&prefix) {
-            self.limits.payload_limit_lossless
-        } else {
-            self.limits.payload_limit
+    fn check(&self, lossless: bool) -> Result<(), ServerError> {
+        let limit = match lossless {
+            true => self.limits.payload_limit_lossless,
+            false => self.limits.payload_limit,
+        };
+        match self.declared.max(self.bytes.len() as u64) > limit.0 {
+            true => Err(too_large(limit, self.limits)),
+            false => Ok(()),
         }
     }
 
-    fn finish(self) -> Bytes {
-        self.bytes.freeze()
+    /// Returns all audio. A file that ends before it names its format is not lossless.
+    fn finish(self) -> Result<Bytes, ServerError> {
+        self.check(is_lossless(&self.bytes).unwrap_or(false))?;
+        Ok(self.bytes.freeze())
     }
 }
 
@@ -248,4 +239,26 @@ fn form_error(error: &axum::extract::multipart::MultipartError, limits: &Limits)
         "the form cannot be read: {}",
         shorten(&error.body_text())
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_id3_tag_in_front_leaves_flac_and_wav_their_larger_limit() {
+        let limits = Limits {
+            payload_limit: ByteSize(64),
+            payload_limit_lossless: ByteSize(256),
+            ..Limits::default()
+        };
+        let accepts = |audio: &[u8]| {
+            let file = [b"ID3\x04\0\0\0\0\0\x02xx".as_slice(), audio, &[0; 100]].concat();
+            let mut buffer = AudioBuffer::new(&limits, None);
+            file.chunks(10).all(|chunk| buffer.push(chunk).is_ok())
+        };
+        assert!(accepts(b"fLaC"));
+        assert!(accepts(b"RIFF\0\0\0\0WAVE"));
+        assert!(!accepts(b"\xff\xfb\x90\0"));
+    }
 }

@@ -5,51 +5,33 @@ use std::path::PathBuf;
 /// What can be wrong with a checkpoint file: always one line that names the file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum CheckpointError {
     /// The file could not be read.
     #[error("{}: {source}", path.display())]
     Read {
-        /// The file.
         path: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
     /// The file is not a checkpoint that this reader understands, or it is damaged.
     #[error("{}: {problem}", path.display())]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong inside it.
-        problem: Problem,
-    },
+    Malformed { path: PathBuf, problem: Problem },
     /// A tensor that the model needs is not there.
     #[error("{}: tensor `{tensor}` is missing", path.display())]
-    MissingTensor {
-        /// The file.
-        path: PathBuf,
-        /// Name without the `module.` prefix.
-        tensor: String,
-    },
+    MissingTensor { path: PathBuf, tensor: String },
     /// A tensor has another shape than its neighbours ask for.
     #[error("{}: tensor `{tensor}` should be {expected}, but is {found:?}", path.display())]
     Shape {
-        /// The file.
         path: PathBuf,
-        /// Name without the `module.` prefix.
         tensor: String,
-        /// What would fit.
         expected: String,
-        /// Its shape in the file.
         found: Vec<usize>,
     },
     /// One tensor's values cannot be read.
     #[error("{}: tensor `{tensor}`: {problem}", path.display())]
     Tensor {
-        /// The file.
         path: PathBuf,
-        /// Name without the `module.` prefix.
         tensor: String,
-        /// What is wrong with it.
         problem: Problem,
     },
 }
@@ -57,6 +39,7 @@ pub enum CheckpointError {
 /// What is wrong inside a checkpoint.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum Problem {
     /// Neither container starts like this.
     #[error("this is neither a zip nor a legacy PyTorch checkpoint")]
@@ -73,11 +56,8 @@ pub enum Problem {
     /// An entry claims to be larger than the file that holds it.
     #[error("zip entry `{entry}` claims {declared} bytes, but only {available} are there")]
     EntrySize {
-        /// Name of the entry.
         entry: String,
-        /// Bytes it claims.
         declared: u64,
-        /// Bytes that could be there.
         available: u64,
     },
     /// The file was written on a big-endian machine.
@@ -88,31 +68,16 @@ pub enum Problem {
     Truncated(usize),
     /// An opcode outside the subset that plain data needs.
     #[error("pickle opcode 0x{opcode:02x} at byte {offset} is not one that plain data needs")]
-    Opcode {
-        /// The opcode.
-        opcode: u8,
-        /// Where it is.
-        offset: usize,
-    },
+    Opcode { opcode: u8, offset: usize },
     /// Code that the file asks for, beside what NumPy arrays need.
     #[error("it asks for `{0}`, which an array file has no use for; nothing was run")]
     Global(String),
     /// The pickle's instructions contradict each other.
     #[error("malformed pickle at byte {offset}: {what}")]
-    Pickle {
-        /// Where.
-        offset: usize,
-        /// What does not fit.
-        what: &'static str,
-    },
+    Pickle { offset: usize, what: &'static str },
     /// The pickle is far larger than any state dictionary.
     #[error("the pickle has {bytes} bytes, at most {limit} are accepted")]
-    PickleSize {
-        /// Its size.
-        bytes: u64,
-        /// The limit.
-        limit: u64,
-    },
+    PickleSize { bytes: u64, limit: u64 },
     /// The pickled object holds no tensors where they are expected.
     #[error("no dictionary of tensors inside (expected under the key `model`)")]
     NoTensors,
@@ -122,11 +87,8 @@ pub enum Problem {
     /// A storage's bytes are missing or do not fit what was declared.
     #[error("storage `{key}` should have {expected} bytes, but {found} are there")]
     StorageSize {
-        /// Key of the storage.
         key: String,
-        /// Bytes declared.
         expected: u64,
-        /// Bytes found.
         found: u64,
     },
     /// The list of storages at the end of a legacy file is damaged.
@@ -134,16 +96,13 @@ pub enum Problem {
     StorageList(usize),
     /// The tensor's offset, shape and strides lie outside its storage.
     #[error(
-        "shape {shape:?} with strides {strides:?} at {offset} lies outside its storage of {values} values"
+        "shape {shape:?} with strides {strides:?} at {offset} lies outside its storage of {values} \
+         values"
     )]
     OutsideStorage {
-        /// Shape.
         shape: Vec<usize>,
-        /// Strides in values.
         strides: Vec<usize>,
-        /// First value.
         offset: usize,
-        /// Values in the storage.
         values: usize,
     },
     /// Tensors that share their storages have more values together than the file has bytes.

@@ -20,7 +20,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use crate::tensor::{Tensor, elements};
+use crate::host_tensor::{HostTensor, elements};
 use container::Container;
 use pickle::{Arena, Id, Object, Pickled, TensorView};
 
@@ -29,7 +29,7 @@ const MODULE_PREFIX: &str = "module.";
 
 /// An opened checkpoint: its tensors by name, without the `module.` prefix.
 #[derive(Debug)]
-pub struct Checkpoint {
+pub struct TorchCheckpoint {
     path: PathBuf,
     container: Container,
     views: BTreeMap<String, TensorView>,
@@ -41,7 +41,7 @@ pub struct Checkpoint {
     names_asked: BTreeSet<String>,
 }
 
-impl Checkpoint {
+impl TorchCheckpoint {
     /// Opens the checkpoint at `path`.
     ///
     /// # Errors
@@ -100,7 +100,7 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError::MissingTensor`], or [`CheckpointError::Tensor`] when its values cannot
     /// be read.
-    pub fn tensor(&mut self, name: &str) -> Result<Tensor, CheckpointError> {
+    pub fn tensor(&mut self, name: &str) -> Result<HostTensor, CheckpointError> {
         let Some(view) = self.views.get(name) else {
             return Err(CheckpointError::MissingTensor {
                 path: self.path.clone(),

@@ -52,8 +52,8 @@ fn zipped() -> Vec<u8> {
     zip_with(zip::CompressionMethod::Stored, &entries)
 }
 
-fn open(bytes: Vec<u8>) -> Result<Checkpoint, CheckpointError> {
-    Checkpoint::from_bytes(Path::new("x.pt"), bytes)
+fn open(bytes: Vec<u8>) -> Result<TorchCheckpoint, CheckpointError> {
+    TorchCheckpoint::from_bytes(Path::new("x.pt"), bytes)
 }
 
 /// Opens and reads everything; the first error's line.
@@ -155,8 +155,16 @@ fn fixture(name: &str) -> Vec<u8> {
     std::fs::read(root.join(name)).unwrap()
 }
 
+fn config(cases: u32) -> ProptestConfig {
+    ProptestConfig {
+        cases,
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    }
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 2_000, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(config(2_000))]
 
     #[test]
     fn mutated_small_files_never_panic(
@@ -178,7 +186,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(config(60))]
 
     #[test]
     fn mutated_official_files_never_panic(

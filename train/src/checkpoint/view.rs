@@ -6,7 +6,7 @@ use super::{
     error::Problem,
     pickle::{ElementType, TensorView},
 };
-use crate::tensor::{Tensor, elements};
+use crate::host_tensor::{HostTensor, elements};
 
 /// Refuses a view that reaches outside its storage or that is larger than it: weights have one
 /// value per element, and a broadcast view of a small storage could ask for any amount of memory.
@@ -37,7 +37,7 @@ fn last_value(view: &TensorView) -> Option<usize> {
 }
 
 /// The dense tensor of a view that passed [`check`], from its storage's bytes.
-pub(super) fn decode(view: &TensorView, bytes: &[u8]) -> Result<Tensor, Problem> {
+pub(super) fn decode(view: &TensorView, bytes: &[u8]) -> Result<HostTensor, Problem> {
     let element = view.storage.element;
     let convert = converter(element).ok_or(Problem::NotFloat(element.name()))?;
     let count = elements(&view.shape).unwrap_or(0);
@@ -45,11 +45,10 @@ pub(super) fn decode(view: &TensorView, bytes: &[u8]) -> Result<Tensor, Problem>
         // Offset and strides of nothing may be anything.
         return finish(view, Vec::new());
     }
+    // Missing bytes become NaN, which `finish` refuses.
     let mut data = Vec::with_capacity(count);
     if is_dense(view) {
-        let dense = bytes
-            .get(view.offset * element.bytes()..)
-            .unwrap_or_default();
+        let dense = bytes.get(view.offset * element.bytes()..).unwrap_or(&[]);
         data.extend(dense.chunks_exact(element.bytes()).take(count).map(convert));
         return finish(view, data);
     }
@@ -57,7 +56,7 @@ pub(super) fn decode(view: &TensorView, bytes: &[u8]) -> Result<Tensor, Problem>
     for _ in 0..count {
         let value = position(view, &index) * element.bytes();
         let raw = bytes.get(value..value + element.bytes());
-        data.push(convert(raw.unwrap_or_default()));
+        data.push(convert(raw.unwrap_or(&[])));
         advance(&mut index, &view.shape);
     }
     finish(view, data)
@@ -77,11 +76,11 @@ fn is_dense(view: &TensorView) -> bool {
         })
 }
 
-fn finish(view: &TensorView, data: Vec<f32>) -> Result<Tensor, Problem> {
+fn finish(view: &TensorView, data: Vec<f32>) -> Result<HostTensor, Problem> {
     if !data.iter().all(|value| value.is_finite()) {
         return Err(Problem::NotFinite);
     }
-    Tensor::new(view.shape.clone(), data).map_err(|_| Problem::NotFinite)
+    HostTensor::new(view.shape.clone(), data).map_err(|_| Problem::NotFinite)
 }
 
 fn position(view: &TensorView, index: &[usize]) -> usize {

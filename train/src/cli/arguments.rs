@@ -1,16 +1,17 @@
-//! What the command line takes, and the options that it becomes.
+//! Arguments of the command line, and the options that they become.
 
-use std::{
-    collections::BTreeMap,
-    path::{Path, PathBuf},
-};
+use std::{collections::BTreeMap, path::PathBuf};
 
 use bailando::{
     features::Profile,
     model::{SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{
+    Args, Parser, Subcommand, ValueEnum,
+    builder::{PossibleValuesParser, TypedValueParser},
+};
+use serde::de::DeserializeOwned;
 
 use crate::{
     compare::CompareOptions,
@@ -20,7 +21,7 @@ use crate::{
     held_out::Recordings,
     import::ImportOptions,
     music_gap::MusicGapOptions,
-    training::{Config, Limits},
+    training::{Config, Limits, StopFlag},
 };
 
 /// Offline companion of bailando: makes the model directories that the server runs.
@@ -34,7 +35,7 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 pub(super) enum Command {
     Import(Box<ImportArguments>),
-    /// Train everything that is not finished yet, stage by stage, and write the model directory
+    /// Train every stage that is not finished yet, and write the model directory
     Run(WholeArguments),
     /// Train both halves of the pose VQ-VAE
     #[command(name = "vqvae")]
@@ -43,7 +44,7 @@ pub(super) enum Command {
     Velocity(StageArguments),
     /// Train the motion GPT on the finished VQ-VAE's codes
     Gpt(StageArguments),
-    /// Train the policy on rewards of the dances it generates, beside a critic
+    /// Train the policy on rewards of the motion that it generates, beside a critic
     ActorCritic(StageArguments),
     Adapt(AdaptArguments),
     /// Write the model directory of a finished run
@@ -55,15 +56,14 @@ pub(super) enum Command {
     CheckData(CheckArguments),
 }
 
-/// Send recordings through a model's pose VQ-VAE: their codes, and what the decoder makes of them
+/// Encode recordings with a model's pose VQ-VAE, and decode them again
 ///
 /// Writes `<id>.codes.npy` (int64 [2, codes], upper and lower) of every recording, and with
 /// --reconstruct `<id>.npy` (float32 [frames, 24, 3]), which `bailando evaluate` measures.
 #[derive(Args, Debug)]
 pub(super) struct EncodeArguments {
-    /// Data folder of any layout
-    #[arg(value_name = "DIR")]
-    pub(super) data: PathBuf,
+    #[command(flatten)]
+    data: DataArguments,
 
     /// Model directory
     #[arg(long, default_value = "models/default", value_name = "DIR")]
@@ -77,15 +77,17 @@ pub(super) struct EncodeArguments {
     #[arg(long, value_enum, default_value_t = SplitName::Test)]
     pub(super) split: SplitName,
 
-    /// Decode the codes again, too
+    /// Also write the decoded motion
     #[arg(long)]
     pub(super) reconstruct: bool,
 }
 
-/// Measure whether a model hears: how much worse it foretells recordings with other music
+/// Measure how much a model is conditioned on the music: how much worse it predicts recordings with
+/// other music
 ///
-/// Cross-entropy of a recording's codes with its own song, and what is added by a song of another
-/// dance, and by its own song one count and half a bar early. Gaps of 0 mean that the model is deaf.
+/// Cross-entropy of a recording's codes with its own song, and the increase with the song of
+/// another recording, and with its own song one beat and half a bar early. Gaps of 0 mean that the
+/// model ignores the music.
 #[derive(Args, Debug)]
 pub(super) struct MusicGapArguments {
     /// Model directory
@@ -100,12 +102,11 @@ pub(super) struct MusicGapArguments {
     pub(super) json: bool,
 }
 
-/// The recordings that a model is asked about.
+/// The recordings that a model predicts.
 #[derive(Args, Debug)]
 struct RecordingsArguments {
-    /// Data folder of any layout, with songs
-    #[arg(value_name = "DIR")]
-    data: PathBuf,
+    #[command(flatten)]
+    data: DataArguments,
 
     /// Folder of the songs, where they are kept apart from the motions
     #[arg(long, value_name = "DIR")]
@@ -122,7 +123,8 @@ struct RecordingsArguments {
 
 /// Compare a quantised model with its original: equal codes and perplexity on recordings
 ///
-/// Both foretell the codes of the same recordings. scripts/compare-models.sh adds what dances tell.
+/// Both predict the codes of the same recordings. scripts/compare-models.sh also compares generated
+/// motion.
 #[derive(Args, Debug)]
 pub(super) struct CompareArguments {
     /// Model directory of the original
@@ -147,77 +149,106 @@ pub(super) enum SplitName {
     Test,
 }
 
+/// A data folder, by its place or by its name.
+#[derive(Args, Debug)]
+struct DataArguments {
+    /// Data folder of any layout
+    #[arg(value_name = "DIR", required_unless_present = "data")]
+    folder: Option<PathBuf>,
+
+    /// The same by name, as the training commands take it
+    #[arg(long, value_name = "DIR", conflicts_with = "folder")]
+    data: Option<PathBuf>,
+}
+
+impl DataArguments {
+    #[expect(clippy::expect_used, reason = "clap requires one of them")]
+    fn folder(self) -> PathBuf {
+        self.folder.or(self.data).expect("a data folder")
+    }
+}
+
+/// The settings of a run, and folders that the command line replaces.
+#[derive(Args, Debug)]
+pub(super) struct SettingsArguments {
+    /// Settings (TOML); settings that the file leaves out are as published
+    config: PathBuf,
+
+    /// Folder of training data, of any layout [default: `data.folder` of the settings]
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+
+    /// Folder of music features [default: `data.cache` of the settings]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+}
+
 #[derive(Args, Debug)]
 pub(super) struct RunArguments {
-    /// Settings; what the file does not say is as published
-    pub(super) config: PathBuf,
+    #[command(flatten)]
+    pub(super) settings: SettingsArguments,
 
     /// Replace the model that is already there
     #[arg(long)]
     pub(super) force: bool,
 }
 
-/// Every stage goes on from its last checkpoint; a kill loses at most `run.checkpoint_seconds`.
+/// Every stage resumes from its last checkpoint. Ctrl-C writes one and stops; a kill loses at most
+/// `run.checkpoint_seconds`. More steps in the settings lengthen a finished stage.
 #[derive(Args, Debug)]
 pub(super) struct WholeArguments {
     #[command(flatten)]
     pub(super) run: RunArguments,
 
     /// Write a checkpoint and stop after this many seconds, all stages together; the same command
-    /// goes on
+    /// resumes
     #[arg(long, value_name = "S")]
     pub(super) max_seconds: Option<f64>,
 }
 
-/// A stage goes on from its last checkpoint; a kill loses at most `run.checkpoint_seconds`.
+/// A stage resumes from its last checkpoint. Ctrl-C writes one and stops; a kill loses at most
+/// `run.checkpoint_seconds`. More steps in the settings lengthen a finished stage.
 #[derive(Args, Debug)]
 pub(super) struct StageArguments {
-    /// Settings; what the file does not say is as published
-    pub(super) config: PathBuf,
+    #[command(flatten)]
+    pub(super) settings: SettingsArguments,
 
-    /// Official checkpoint to start from (vqvae, gpt; of actor-critic and adapt: the critic); for gpt a run's
-    /// checkpoint.safetensors, too
+    /// Official checkpoint to start from (vqvae, gpt; actor-critic and adapt take its critic). gpt
+    /// also takes a run's checkpoint.safetensors
     #[arg(long, value_name = "FILE.pt")]
     pub(super) init: Option<PathBuf>,
 
-    /// Folder of music features (gpt, actor-critic, adapt) [default: `data.cache` of the settings]
-    #[arg(long, value_name = "DIR")]
-    pub(super) cache: Option<PathBuf>,
-
-    /// Write a checkpoint and stop after this many seconds; the same command goes on
+    /// Write a checkpoint and stop after this many seconds; the same command resumes
     #[arg(long, value_name = "S")]
     pub(super) max_seconds: Option<f64>,
 
-    /// Write a checkpoint and stop after this many steps; the same command goes on
+    /// Write a checkpoint and stop after this many steps; the same command resumes
     #[arg(long, value_name = "N")]
     pub(super) max_steps: Option<u64>,
 }
 
-/// Generate dances of a finished run for all songs of the test split.
+/// Generate motion with a finished run for all songs of the test split.
 ///
 /// One DIR/<piece>.npy each ([frames, 24, 3] at 60 a second), for `bailando evaluate --generated
-/// DIR`. Runs with parts left out ([ablation]) have no other way: the server knows whole models.
+/// DIR`. This is the only way for runs with parts left out ([ablation]): the server takes whole
+/// models.
 #[derive(Args, Debug)]
 pub(super) struct GenerateArguments {
-    /// Settings of the run
-    pub(super) config: PathBuf,
+    #[command(flatten)]
+    pub(super) settings: SettingsArguments,
 
     /// Folder to write
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
 
-    /// The same seed gives the same dances
+    /// The same seed gives the same motions
     #[arg(long, default_value_t = 1, value_name = "N")]
     pub(super) seed: u64,
-
-    /// Folder of music features [default: `data.cache` of the settings]
-    #[arg(long, value_name = "DIR")]
-    pub(super) cache: Option<PathBuf>,
 }
 
-/// Train the policy on the rewards of one song, for which no dance is needed.
+/// Train the policy on the rewards of one song, for which no motion is needed.
 ///
-/// Starts from the finished actor-critic of the run, else from its gpt. Goes on from its last
+/// Starts from the finished actor-critic of the run, else from its gpt. Resumes from its last
 /// checkpoint, which is found by the song's content.
 #[derive(Args, Debug)]
 #[command(after_help = "Example: bailando-train adapt train/presets/default.toml --song song.mp3")]
@@ -260,13 +291,13 @@ pub(super) struct ImportArguments {
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
 
-    /// Attention heads of the GPT: the one size that the checkpoint does not tell
+    /// Attention heads of the GPT: the only size that the checkpoint does not hold
     #[arg(long, default_value_t = 12, value_name = "N")]
     pub(super) heads: usize,
 
     /// Version of the music features that the GPT was trained with
-    #[arg(long, value_enum, default_value_t = ProfileName::Librosa081)]
-    pub(super) profile: ProfileName,
+    #[arg(long, default_value = "librosa-0.8.1", value_parser = named::<Profile>(&PROFILES))]
+    pub(super) profile: Profile,
 
     /// JSON list of [upper, lower] code pairs to start from, or an object with it as `start_codes`
     /// [default: the pair 423, 12 where the vocabulary has it, else any pair]
@@ -277,12 +308,12 @@ pub(super) struct ImportArguments {
     #[arg(long, default_value_t = 0.0, value_name = "T", value_parser = temperature)]
     pub(super) temperature: f32,
 
-    /// How weights are stored: f32 exactly, f16 in half the space (they are computed with in f32), int8
-    /// with the GPT's matrices in a quarter of it (and products of 8-bit numbers)
-    #[arg(long, value_enum, default_value_t = Weights::F32)]
-    pub(super) weights: Weights,
+    /// How weights are stored: f32 exactly, f16 in half the space (computed with in f32), int8 with
+    /// the GPT's matrices in a quarter of it (and products of 8-bit numbers)
+    #[arg(long, default_value = "f32", value_parser = named::<WeightStorage>(&WEIGHTS))]
+    pub(super) weights: WeightStorage,
 
-    /// Name of the model, reported with every dance
+    /// Name of the model, reported with every motion
     #[arg(long, default_value = "bailando-official")]
     pub(super) name: String,
 
@@ -306,7 +337,7 @@ pub(super) struct ImportArguments {
     pub(super) force: bool,
 }
 
-/// Say what is wrong with a folder of training data, before hours are spent on it.
+/// Check a folder of training data before hours are spent on it.
 ///
 /// Reads every motion and every song and reports in plain words: missing files, lengths, units
 /// (metres), axes (y up), bone lengths, frame rate (60 a second), jumps, left and right, the floor,
@@ -320,9 +351,8 @@ pub(super) struct ImportArguments {
   bailando-train check-data aist_plusplus_final --audio all_musics
   bailando-train check-data data/mine --json > report.json")]
 pub(super) struct CheckArguments {
-    /// Folder of training data
-    #[arg(value_name = "DIR")]
-    pub(super) folder: PathBuf,
+    #[command(flatten)]
+    data: DataArguments,
 
     /// Folder of the songs, where they are kept apart from the motions
     #[arg(long, value_name = "DIR")]
@@ -341,19 +371,15 @@ pub(super) struct CheckArguments {
     pub(super) json: bool,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(super) enum ProfileName {
-    #[value(name = "librosa-0.11")]
-    Librosa011,
-    #[value(name = "librosa-0.8.1")]
-    Librosa081,
-}
+/// Names of the feature profiles and of the ways to store weights, as in settings and manifests.
+const PROFILES: [&str; 2] = ["librosa-0.11", "librosa-0.8.1"];
+const WEIGHTS: [&str; 3] = ["f16", "f32", "int8"];
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(super) enum Weights {
-    F16,
-    F32,
-    Int8,
+/// Parses one of `names`.
+fn named<T: DeserializeOwned + Clone + Send + Sync + 'static>(
+    names: &'static [&'static str],
+) -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(names).try_map(|name| serde_json::from_value(name.into()))
 }
 
 fn temperature(text: &str) -> Result<f32, String> {
@@ -370,25 +396,26 @@ fn root_height(text: &str) -> Result<f32, String> {
     }
 }
 
-/// The settings, with another folder of music features.
-pub(super) fn with_cache(config: &Path, cache: Option<&Path>) -> anyhow::Result<Config> {
-    let mut config = Config::read(config)?;
-    if let Some(cache) = cache {
-        config.data.cache = cache.to_owned();
+impl SettingsArguments {
+    /// Reads the settings, with the folders of the command line.
+    pub(super) fn read(&self) -> anyhow::Result<Config> {
+        let mut config = Config::read(&self.config)?;
+        if let Some(data) = &self.data {
+            config.data.folder.clone_from(data);
+        }
+        if let Some(cache) = &self.cache {
+            config.data.cache.clone_from(cache);
+        }
+        Ok(config)
     }
-    Ok(config)
 }
 
 impl StageArguments {
-    /// The settings, with what the command line changes.
-    pub(super) fn config(&self) -> anyhow::Result<Config> {
-        with_cache(&self.config, self.cache.as_deref())
-    }
-
-    pub(super) fn limits(&self) -> Limits {
+    pub(super) fn limits(&self, stop: Option<&'static StopFlag>) -> Limits {
         Limits {
             seconds: self.max_seconds,
             steps: self.max_steps,
+            stop,
         }
     }
 }
@@ -414,7 +441,7 @@ impl From<MusicGapArguments> for MusicGapOptions {
 impl From<RecordingsArguments> for Recordings {
     fn from(arguments: RecordingsArguments) -> Self {
         Self {
-            data: arguments.data,
+            data: arguments.data.folder(),
             audio: arguments.audio,
             cache: arguments.cache,
             split: arguments.split.into(),
@@ -436,7 +463,7 @@ impl From<EncodeArguments> for EncodeOptions {
     fn from(arguments: EncodeArguments) -> Self {
         Self {
             model: arguments.model_dir,
-            data: arguments.data,
+            data: arguments.data.folder(),
             split: arguments.split.into(),
             out: arguments.out,
             reconstruct: arguments.reconstruct,
@@ -457,10 +484,7 @@ impl From<ImportArguments> for ImportOptions {
             description: Description {
                 name: arguments.name,
                 licence: arguments.licence,
-                profile: match arguments.profile {
-                    ProfileName::Librosa011 => Profile::Librosa011,
-                    ProfileName::Librosa081 => Profile::Librosa081,
-                },
+                profile: arguments.profile,
                 count_periods: Vec::new(),
                 start_codes: Vec::new(),
                 suppressed_codes: SuppressedCodes::default(),
@@ -471,25 +495,21 @@ impl From<ImportArguments> for ImportOptions {
                 hop: PUBLISHED_HOP,
                 motion_frame: MotionFrame::World,
                 root_height: arguments.root_height,
-                weights: match arguments.weights {
-                    Weights::F16 => WeightStorage::F16,
-                    Weights::F32 => WeightStorage::F32,
-                    Weights::Int8 => WeightStorage::Int8,
-                },
+                weights: arguments.weights,
                 training: BTreeMap::new(),
             },
         }
     }
 }
 
-impl From<&CheckArguments> for CheckOptions {
-    fn from(arguments: &CheckArguments) -> Self {
-        Self {
-            open: OpenOptions {
-                audio: arguments.audio.clone(),
-            },
-            songs: arguments.songs,
-            beats: arguments.beats,
-        }
+impl CheckArguments {
+    /// Returns the folder and the extent of the checks.
+    pub(super) fn split(self) -> (PathBuf, CheckOptions) {
+        let options = CheckOptions {
+            open: OpenOptions { audio: self.audio },
+            songs: self.songs,
+            beats: self.beats,
+        };
+        (self.data.folder(), options)
     }
 }

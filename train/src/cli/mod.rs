@@ -14,28 +14,31 @@ use serde::Serialize;
 pub use self::arguments::Arguments;
 use self::arguments::{
     AdaptArguments, CheckArguments, Command, GenerateArguments, StageArguments, WholeArguments,
-    with_cache,
 };
 use crate::{
     compare::compare,
-    data::check::{CheckOptions, check},
+    data::check::check,
     encode::encode,
     import::{ImportOptions, import},
     music_gap::music_gap,
     training::{
-        AblationConfig, Adaptation, Config, MotionSet, Outcome, Stage, adapt, export,
-        export_adapted, generate_test_dances, run_all, target_song, train,
+        AblationConfig, Adaptation, Limits, MotionSet, Outcome, Stage, StopFlag, adapt, export,
+        export_adapted, generate_test_motions, run_all, target_song, train,
     },
 };
 
-/// What is said of a run that a limit ended.
-const PAUSED: &str = "paused: the same command goes on";
+/// The report on a run that a limit ended.
+const PAUSED: &str = "paused: the same command resumes";
 
-/// Runs one command and reports on `output`.
+/// Runs one command and reports on `output`. A stage that trains stops when `stop` is raised.
 ///
 /// # Errors
-/// Whatever the command or the output gives, for one line on standard error.
-pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> {
+/// Those of the command or the output, for one line on standard error.
+pub fn run(
+    arguments: Arguments,
+    stop: Option<&'static StopFlag>,
+    output: &mut impl Write,
+) -> anyhow::Result<()> {
     match arguments.command {
         Command::Import(arguments) => {
             let options = ImportOptions::from(*arguments);
@@ -43,14 +46,16 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
             report(&options, &manifest, output)?;
             Ok(())
         }
-        Command::Run(arguments) => train_all(&arguments, output),
-        Command::VqVae(arguments) => train_stage(Stage::VqVae, &arguments, output),
-        Command::Velocity(arguments) => train_stage(Stage::Velocity, &arguments, output),
-        Command::Gpt(arguments) => train_stage(Stage::Gpt, &arguments, output),
-        Command::ActorCritic(arguments) => train_stage(Stage::ActorCritic, &arguments, output),
-        Command::Adapt(arguments) => adapt_policy(&arguments, output),
+        Command::Run(arguments) => train_all(&arguments, stop, output),
+        Command::VqVae(arguments) => train_stage(Stage::VqVae, &arguments, stop, output),
+        Command::Velocity(arguments) => train_stage(Stage::Velocity, &arguments, stop, output),
+        Command::Gpt(arguments) => train_stage(Stage::Gpt, &arguments, stop, output),
+        Command::ActorCritic(arguments) => {
+            train_stage(Stage::ActorCritic, &arguments, stop, output)
+        }
+        Command::Adapt(arguments) => adapt_policy(&arguments, stop, output),
         Command::Export(arguments) => {
-            let config = Config::read(&arguments.config)?;
+            let config = arguments.settings.read()?;
             let manifest = export(&config, arguments.force)?;
             let folder = config.export.folder.display();
             writeln!(output, "wrote {folder} ({})", manifest.name)?;
@@ -78,24 +83,32 @@ pub fn run(arguments: Arguments, output: &mut impl Write) -> anyhow::Result<()> 
 fn train_stage(
     stage: Stage,
     arguments: &StageArguments,
+    stop: Option<&'static StopFlag>,
     output: &mut impl Write,
 ) -> anyhow::Result<()> {
-    let config = arguments.config()?;
+    let config = arguments.settings.read()?;
     anyhow::ensure!(
         arguments.init.is_none() || stage != Stage::Velocity,
         "velocity has no --init: it starts from the VQ-VAE of the run"
     );
     let set = MotionSet::read(&config, stage.load(), output)?;
-    let (init, limits) = (arguments.init.as_deref(), arguments.limits());
+    let (init, limits) = (arguments.init.as_deref(), arguments.limits(stop));
     let outcome = train(stage, &config, &set, init, limits, output)?;
     report_outcome(outcome, output)
 }
 
-fn adapt_policy(arguments: &AdaptArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let config = arguments.stage.config()?;
+fn adapt_policy(
+    arguments: &AdaptArguments,
+    stop: Option<&'static StopFlag>,
+    output: &mut impl Write,
+) -> anyhow::Result<()> {
+    let config = arguments.stage.settings.read()?;
     let song = target_song(&config.data, &arguments.song)?;
     let adaptation = Adaptation::new(&config, &arguments.song, song)?;
-    let (init, limits) = (arguments.stage.init.as_deref(), arguments.stage.limits());
+    let (init, limits) = (
+        arguments.stage.init.as_deref(),
+        arguments.stage.limits(stop),
+    );
     let outcome = adapt(&config, &adaptation, init, limits, output)?;
     report_outcome(outcome, output)?;
     if outcome == Outcome::Paused {
@@ -109,10 +122,10 @@ fn adapt_policy(arguments: &AdaptArguments, output: &mut impl Write) -> anyhow::
 }
 
 fn generate(arguments: &GenerateArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let config = with_cache(&arguments.config, arguments.cache.as_deref())?;
+    let config = arguments.settings.read()?;
     let (seed, folder) = (arguments.seed, &arguments.out);
-    let count = generate_test_dances(&config, seed, folder, output)?;
-    writeln!(output, "wrote {count} dances to {}", folder.display())?;
+    let count = generate_test_motions(&config, seed, folder, output)?;
+    writeln!(output, "wrote {count} motions to {}", folder.display())?;
     Ok(())
 }
 
@@ -138,9 +151,18 @@ fn report_outcome(outcome: Outcome, output: &mut impl Write) -> anyhow::Result<(
     Ok(())
 }
 
-fn train_all(arguments: &WholeArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let config = Config::read(&arguments.run.config)?;
-    match run_all(&config, arguments.run.force, arguments.max_seconds, output)? {
+fn train_all(
+    arguments: &WholeArguments,
+    stop: Option<&'static StopFlag>,
+    output: &mut impl Write,
+) -> anyhow::Result<()> {
+    let config = arguments.run.settings.read()?;
+    let limits = Limits {
+        seconds: arguments.max_seconds,
+        steps: None,
+        stop,
+    };
+    match run_all(&config, arguments.run.force, limits, output)? {
         Outcome::Finished if config.ablation == AblationConfig::default() => {
             try_it(&config.export.folder, output)?;
         }
@@ -156,9 +178,10 @@ fn try_it(model: &Path, output: &mut impl Write) -> io::Result<()> {
 }
 
 fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let options = CheckOptions::from(&arguments);
-    let report = check(&arguments.folder, &options)?;
-    if arguments.json {
+    let json = arguments.json;
+    let (folder, options) = arguments.split();
+    let report = check(&folder, &options)?;
+    if json {
         serde_json::to_writer_pretty(&mut *output, &report)?;
         writeln!(output)?;
     } else {
@@ -167,7 +190,7 @@ fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Res
     if report.is_usable() {
         return Ok(());
     }
-    anyhow::bail!("{}: {}", arguments.folder.display(), report.verdict())
+    anyhow::bail!("{}: {}", folder.display(), report.verdict())
 }
 
 fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write) -> io::Result<()> {
@@ -180,7 +203,8 @@ fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write)
     )?;
     writeln!(
         output,
-        "  {} upper and {} lower codes; GPT of {} layers, {} channels, {} heads; decoder of width {}",
+        "  {} upper and {} lower codes; GPT of {} layers, {} channels, {} heads; decoder of width \
+         {}",
         manifest.vocabulary.upper,
         manifest.vocabulary.lower,
         gpt.layers,

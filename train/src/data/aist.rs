@@ -20,7 +20,7 @@ const TEST_LISTS: [&str; 4] = [
     "test.txt",
     "val.txt",
 ];
-/// Dances whose reconstruction the authors of AIST++ found to have failed.
+/// Motions whose reconstruction the authors of AIST++ found to have failed.
 const IGNORED: &str = "ignore_list.txt";
 
 /// The motions in `root/motions` or `root`; none where there is no pickle.
@@ -67,7 +67,11 @@ pub(super) fn read(
     }
     let mut notes = Vec::new();
     if !listed {
-        notes.push("there are no lists of splits (splits/crossmodal_train.txt, ..): all dances are taken for training".into());
+        notes.push(
+            "there are no lists of splits (splits/crossmodal_train.txt, ..): all dances are \
+                    taken for training"
+                .into(),
+        );
     }
     if unlisted > 0 {
         notes.push(format!(

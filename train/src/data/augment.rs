@@ -13,14 +13,18 @@ const OTHER_SIDE: [usize; JOINTS] = [
     0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22,
 ];
 
-/// The same dance in a mirror: x is negated, left and right joints change places.
+/// Mirrors a motion: x is negated, left and right joints change places.
 #[must_use]
+#[expect(
+    clippy::expect_used,
+    reason = "the mirror image has the shape of the motion"
+)]
 pub fn mirrored(motion: &Motion) -> Motion {
     let source = motion.positions();
     let mirrored = Positions::from_shape_fn(source.dim(), |(frame, joint, axis)| {
         let other = OTHER_SIDE.get(joint).copied().unwrap_or(joint);
         let value = source.get((frame, other, axis)).copied();
-        let value = value.unwrap_or_default();
+        let value = value.expect("a value of the motion");
         if axis == 0 { -value } else { value }
     });
     Motion::new(mirrored)
@@ -32,7 +36,7 @@ pub fn mirrored_joints() -> [usize; JOINTS] {
     OTHER_SIDE
 }
 
-/// Where a column of a mirrored dance comes from, and by which factor. Columns are x, y, z of each
+/// Returns the source of a column of mirrored motion, and its factor. Columns are x, y, z of each
 /// joint and, in the dancer's frame, the turn: a mirror turns the other way, and as it mirrors the
 /// facing as well, columns in the dancer's frame are mirrored like those in the world's.
 #[must_use]
@@ -42,7 +46,7 @@ pub fn mirrored_column(column: usize) -> (usize, f32) {
     (3 * other + axis, if axis == 0 { -1.0 } else { 1.0 })
 }
 
-/// The dance without its first `phase` frames.
+/// Removes the first `phase` frames of a motion.
 ///
 /// Frame 0 is then `phase / 60` seconds into the song. Music rows come 7.5 times a second, so no
 /// row of the whole song lies beside the new frame 0: the song has to lose the same

@@ -1,4 +1,4 @@
-//! Which crops an epoch is made of, and which music rows lie beside them.
+//! The crops of an epoch, and the music rows beside them.
 
 use std::ops::Range;
 
@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::{FRAMES_PER_CODE, PHASES};
 
-/// How dances are cut (ARCHITECTURE section 6: 240 frames; stride 40 for the VQ-VAE, 8 for root
+/// How motions are cut (ARCHITECTURE section 6: 240 frames; stride 40 for the VQ-VAE, 8 for root
 /// branch and GPT).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CropPlan {
@@ -19,62 +19,63 @@ pub struct CropPlan {
     pub mirror: bool,
 }
 
-/// What can be drawn of a dance.
+/// Choices of a crop of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Choice {
     /// Frames; for training with music, those that have music ([`common_frames`]).
     pub frames: usize,
-    /// Frames at its start that are in no crop.
+    /// Frames at the start that are in no crop.
     pub skipped: usize,
     /// Songs; none for motion alone.
     pub songs: usize,
-    /// Start phases to draw from: 1 keeps the dance as it is, [`PHASES`] moves code boundaries to
+    /// Start phases to draw from: 1 keeps the motion as it is, [`PHASES`] moves code boundaries to
     /// every frame.
     pub phases: usize,
 }
 
-/// One crop of a dance.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// One crop of a motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Draw {
-    /// Which dance.
+    /// The motion.
     pub dance: usize,
-    /// Which of the dance's songs.
+    /// The song out of the motion's songs.
     pub song: usize,
-    /// Frames cut off the dance (and as much time off the song) before anything else.
+    /// Frames cut off the motion (and as much time off the song) before anything else.
     pub phase: usize,
-    /// First frame of the crop in the dance so cut.
+    /// First frame of the crop in the motion after that cut.
     pub start: usize,
     /// Whether the crop is mirrored.
     pub mirrored: bool,
 }
 
-/// Starts of the crops of a motion of `frames` frames; none when it is shorter than one crop.
+/// Returns the starts of the crops of a motion of `frames` frames; none when it is shorter than one
+/// crop.
 pub fn crop_starts(frames: usize, length: usize, stride: usize) -> impl Iterator<Item = usize> {
     let starts = (frames + 1).saturating_sub(length);
     (0..starts).step_by(stride.max(1))
 }
 
-/// Music rows beside the pose codes `codes` of a dance: row `k + 1` goes with code `k`
+/// Returns the music rows beside the pose codes `codes` of a motion: row `k + 1` goes with code `k`
 /// (ARCHITECTURE section 3: the reference drops the first row).
 #[must_use]
 pub fn rows_beside(codes: Range<usize>) -> Range<usize> {
     codes.start + 1..codes.end + 1
 }
 
-/// Frames of a dance that have music: all codes in them have their row.
+/// Returns the frames of a motion that have music: all codes in them have their row.
 ///
 /// `rows` is the number of conditioning rows of the whole song. It holds for every start phase,
-/// since dance and song lose the same time. For a dance with several songs take the smallest.
+/// since motion and song lose the same time. With several songs take the smallest.
 #[must_use]
 pub fn common_frames(frames: usize, rows: usize) -> usize {
     frames.min(rows.saturating_sub(1) * FRAMES_PER_CODE)
 }
 
 impl CropPlan {
-    /// Crops of one round over all dances.
+    /// Counts the crops of one round over all motions.
     #[must_use]
-    pub fn crops(&self, dances: &[Choice]) -> usize {
-        dances.iter().map(|dance| self.starts(dance).count()).sum()
+    pub fn crops(&self, motions: &[Choice]) -> usize {
+        motions.iter().map(|dance| self.starts(dance).count()).sum()
     }
 
     fn starts(&self, dance: &Choice) -> impl Iterator<Item = usize> {
@@ -82,15 +83,15 @@ impl CropPlan {
         crop_starts(dance.frames, self.frames, self.stride).filter(move |&start| start >= skipped)
     }
 
-    /// The crops of a round in random order, the same for the same seed and round: each dance gives
-    /// each of its crops once, with a song, a start phase and a side drawn for each. A crop that a
-    /// phase pushes over the dance's end moves back by a code.
+    /// Draws the crops of a round in random order, the same for the same seed and round: each
+    /// motion gives each of its crops once, with a random song, start phase and side. A crop that a
+    /// phase pushes over the motion's end moves back by a code.
     #[must_use]
-    pub fn round(&self, dances: &[Choice], seed: u64, round: u64) -> Vec<Draw> {
+    pub fn round(&self, motions: &[Choice], seed: u64, round: u64) -> Vec<Draw> {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
         generator.set_stream(round);
-        let mut draws = Vec::with_capacity(self.crops(dances));
-        for (dance, choice) in dances.iter().enumerate() {
+        let mut draws = Vec::with_capacity(self.crops(motions));
+        for (dance, choice) in motions.iter().enumerate() {
             for start in self.starts(choice) {
                 let room = choice.frames - self.frames;
                 let phases = choice.phases.min(room + 1).clamp(1, PHASES);
@@ -111,15 +112,15 @@ impl CropPlan {
 }
 
 impl Draw {
-    /// The crop's frames in the dance as it is stored.
+    /// Returns the crop's frames in the stored motion.
     #[must_use]
     pub fn frames(&self, length: usize) -> Range<usize> {
         let start = self.phase + self.start;
         start..start + length
     }
 
-    /// The crop's pose codes, counted from the start of the dance after the cut. Only crops that
-    /// start on a code boundary have whole codes: the stride must be a multiple of 8.
+    /// Returns the crop's pose codes, counted from the start of the motion after the cut. Only
+    /// crops that start on a code boundary have whole codes: the stride must be a multiple of 8.
     #[must_use]
     pub fn codes(&self, length: usize) -> Range<usize> {
         let first = self.start / FRAMES_PER_CODE;
@@ -171,9 +172,9 @@ mod tests {
             [0, 16, 17, 361].map(starts),
             [Some(0), Some(16), Some(24), None]
         );
-        let dances = [dance(2, PHASES), dance(1, PHASES), dance(0, 1), short];
-        let draws = plan.round(&dances, 7, 0);
-        assert_eq!(draws.len(), plan.crops(&dances));
+        let motions = [dance(2, PHASES), dance(1, PHASES), dance(0, 1), short];
+        let draws = plan.round(&motions, 7, 0);
+        assert_eq!(draws.len(), plan.crops(&motions));
         let of = |dance| draws.iter().filter(move |draw| draw.dance == dance);
         assert_eq!([0, 1, 2, 3].map(|dance| of(dance).count()), [46, 46, 46, 1]);
         assert!(of(0).any(|draw| draw.song == 0) && of(0).any(|draw| draw.song == 1));
@@ -184,14 +185,19 @@ mod tests {
         for draw in &draws {
             assert!(draw.start % FRAMES_PER_CODE == 0 && draw.frames(240).end <= 600);
         }
-        assert_eq!(draws, plan.round(&dances, 7, 0));
-        assert_ne!(draws, plan.round(&dances, 7, 1));
-        assert_ne!(draws, plan.round(&dances, 8, 0));
+        assert_eq!(draws, plan.round(&motions, 7, 0));
+        assert_ne!(draws, plan.round(&motions, 7, 1));
+        assert_ne!(draws, plan.round(&motions, 8, 0));
         let plain = CropPlan {
             mirror: false,
             ..plan
         };
-        assert!(plain.round(&dances, 7, 0).iter().all(|draw| !draw.mirrored));
+        assert!(
+            plain
+                .round(&motions, 7, 0)
+                .iter()
+                .all(|draw| !draw.mirrored)
+        );
     }
 
     #[test]
@@ -216,11 +222,9 @@ mod tests {
     fn rows_are_one_ahead_of_their_codes() {
         assert_eq!(rows_beside(0..29), 1..30);
         let draw = Draw {
-            dance: 0,
-            song: 0,
             phase: 3,
             start: 80,
-            mirrored: false,
+            ..Draw::default()
         };
         assert_eq!(draw.codes(240), 10..40);
         assert_eq!(draw.frames(240), 83..323);

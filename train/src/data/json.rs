@@ -19,7 +19,7 @@ use crate::export::skeleton;
 
 /// Folder of feature files that hold music alone.
 const MUSIC: &str = "music";
-/// How much of a file is looked at to tell its kind.
+/// Bytes of a file that are read to find its kind.
 const PEEK: usize = 1 << 16;
 
 #[derive(Debug, Deserialize)]
@@ -30,12 +30,12 @@ struct DanceFile {
 #[derive(Debug, Deserialize)]
 struct MusicFile {
     music_array: Vec<Vec<f32>>,
-    /// Only counted: it tells the rate of the rows.
+    /// Only counted, to find the rate of the rows.
     dance_array: Option<Vec<IgnoredAny>>,
 }
 
-/// The dances in `root` and its folders; none where there is no JSON at all.
-pub(super) fn dances(root: &Path) -> Result<Option<Vec<PathBuf>>, DataError> {
+/// Lists the recordings in `root` and its folders; `None` where there is no JSON at all.
+pub(super) fn recordings(root: &Path) -> Result<Option<Vec<PathBuf>>, DataError> {
     let mut dances = Vec::new();
     for path in files::list(root)? {
         if path.is_dir() && path.file_name().is_some_and(|name| name != MUSIC) {
@@ -127,7 +127,7 @@ pub(super) fn bare_piece(
     }
 }
 
-/// The split that the folder's name tells.
+/// Returns the split of a folder's name.
 fn split_of(root: &Path, path: &Path) -> Option<Split> {
     let folder = path.parent()?.strip_prefix(root).ok()?;
     let folder = folder.to_string_lossy().to_lowercase();
@@ -158,7 +158,8 @@ pub(super) fn rows(path: &Path) -> Result<(Array2<f32>, Rate), DataError> {
         rate_of(rows.nrows(), frames).ok_or_else(|| DataError::Shape {
             path: path.to_owned(),
             what: format!(
-                "{} rows of music beside {frames} frames: expected as many (60 a second) or an eighth (7.5 a second)",
+                "{} rows of music beside {frames} frames: expected as many (60 a second) or an \
+                 eighth (7.5 a second)",
                 rows.nrows()
             ),
         })
@@ -166,7 +167,7 @@ pub(super) fn rows(path: &Path) -> Result<(Array2<f32>, Rate), DataError> {
     Ok((rows, rate))
 }
 
-/// The rate that the numbers of rows and frames tell, within half a second and 5 %.
+/// Returns the rate that fits the numbers of rows and frames, within half a second and 5 %.
 fn rate_of(rows: usize, frames: usize) -> Option<Rate> {
     let near =
         |expected: usize, second: usize| rows.abs_diff(expected) <= (expected / 20).max(second / 2);

@@ -40,14 +40,14 @@ impl MusicLibrary {
         }
     }
 
-    /// The same, whose conditioning rows end with the columns of these periods.
+    /// Adds the columns of these periods to the conditioning rows.
     #[must_use]
     pub fn with_count_periods(mut self, periods: &[u32]) -> Self {
         self.count_periods = periods.to_vec();
         self
     }
 
-    /// Songs whose features had to be computed so far.
+    /// Returns the number of songs whose features were computed so far.
     #[must_use]
     pub fn computed(&self) -> usize {
         self.computed
@@ -110,8 +110,8 @@ impl MusicLibrary {
         Ok(rows.slice_axis(Axis(0), Slice::from(phase..)).to_owned())
     }
 
-    /// [`MusicLibrary::conditioning`] of the first `count` start phases; the song is decoded once at
-    /// most.
+    /// Returns [`MusicLibrary::conditioning`] of the first `count` start phases; decodes the song
+    /// once at most.
     ///
     /// # Errors
     /// As [`MusicLibrary::conditioning`].
@@ -147,7 +147,7 @@ impl MusicLibrary {
                 .collect(),
             ..Beats::default()
         };
-        // Of the whole song, as when it is served.
+        // Over the whole song, as in serving.
         let whole = self.one(path, Rate::Conditioning, 0)?;
         let counts = BeatPhase::find(&beats, whole.view());
         let all = all.into_iter().zip(phases).map(|(rows, phase)| {
@@ -196,7 +196,7 @@ impl MusicLibrary {
         rate: Rate,
         (phase, key): (usize, &FeatureKey),
     ) -> Result<Array2<f32>, DataError> {
-        let signal = signal.get(samples(phase, rate)..).unwrap_or_default();
+        let signal = signal.get(samples(phase, rate)..).unwrap_or(&[]);
         let profile = self.profile;
         let extractor = self.extractors.entry(rate.hz());
         let extractor = extractor.or_insert_with(|| FeatureExtractor::new(rate, profile));

@@ -2,7 +2,7 @@
 //! networks take it (ARCHITECTURE section 1), music rows computed by `bailando` and cached.
 //!
 //! [`Dataset::open`] → [`Dataset::training`] (or [`Dataset::evaluation`]) → [`Portion`]:
-//! [`CropPlan::round`] draws crops, [`Dance::motion`] and [`MusicLibrary`] fill them.
+//! [`CropPlan::round`] draws crops, [`Recording::motion`] and [`MusicLibrary`] fill them.
 //! [`check`] says in plain words what is wrong with a folder.
 
 mod aist;
@@ -16,8 +16,10 @@ mod files;
 mod folder;
 mod json;
 mod library;
+mod load;
 mod motion;
 mod npy;
+mod open;
 mod portion;
 mod quantise;
 mod smpl;
@@ -34,7 +36,7 @@ pub use dataset::{Dataset, Defect, Layout, MotionSource, MusicSource, OpenOption
 pub use error::DataError;
 pub use library::MusicLibrary;
 pub use motion::Motion;
-pub use portion::{Dance, Evaluation, Portion, Song, SplitKind, Training};
+pub use portion::{Evaluation, Portion, Recording, Song, SplitKind, Training};
 pub use quantise::quantised;
 
 /// Frames per second of all motion.

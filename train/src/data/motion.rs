@@ -61,8 +61,8 @@ impl Motion {
         columns
     }
 
-    /// `[T, 72]` as a decoder gives it (ARCHITECTURE section 2): the root's velocity in columns 0..3, the other joints
-    /// relative to the root.
+    /// `[T, 72]` as a decoder gives it (ARCHITECTURE section 2): the root's velocity in columns
+    /// 0..3, the other joints relative to the root.
     #[must_use]
     pub fn decoded(&self) -> Array2<f32> {
         let mut columns = self.root_relative();

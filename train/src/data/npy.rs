@@ -41,7 +41,8 @@ fn parse(bytes: &[u8]) -> Result<Positions, String> {
     let expected = frames.checked_mul(3 * JOINTS * width);
     if expected != Some(values.len()) {
         return Err(format!(
-            "{frames} frames are declared, but {} bytes of values are there: the file is damaged or cut off",
+            "{frames} frames are declared, but {} bytes of values are there: the file is damaged \
+             or cut off",
             values.len()
         ));
     }

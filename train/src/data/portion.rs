@@ -1,5 +1,5 @@
-//! The pieces of one split, as a type: a `Portion<Training>` cannot hand out test pieces, and
-//! what takes one cannot be given a `Portion<Evaluation>`.
+//! The pieces of one split, as a type: a `Portion<Training>` cannot hand out test pieces, and a
+//! function of it cannot be given a `Portion<Evaluation>`.
 
 use std::{collections::BTreeMap, marker::PhantomData};
 
@@ -17,10 +17,10 @@ pub trait SplitKind: sealed::Sealed {
     const SPLIT: Split;
 }
 
-/// Marks what a model may learn from.
+/// Marks data for training.
 #[derive(Clone, Copy, Debug)]
 pub enum Training {}
-/// Marks what a model is judged by.
+/// Marks data for evaluation.
 #[derive(Clone, Copy, Debug)]
 pub enum Evaluation {}
 
@@ -35,24 +35,24 @@ impl SplitKind for Evaluation {
     const SPLIT: Split = Split::Test;
 }
 
-/// Everything of one split: dances, each once, with all of its songs.
+/// Everything of one split: recordings, each once, with all of its songs.
 #[derive(Clone, Debug)]
 pub struct Portion<S> {
-    dances: Vec<Dance<S>>,
+    recordings: Vec<Recording<S>>,
     skeleton: Skeleton,
 }
 
-/// One motion file. Weights go by dance, not by piece: seven songs for one dance must not make
-/// it seven times as important.
+/// One motion file. Weights go by motion, not by piece: seven songs for one motion must not make it
+/// seven times as important.
 #[derive(Clone, Debug)]
-pub struct Dance<S> {
+pub struct Recording<S> {
     source: MotionSource,
     style: Option<String>,
     songs: Vec<Song>,
     split: PhantomData<S>,
 }
 
-/// A song that goes with a dance: one piece of the data.
+/// A song that goes with a motion: one piece of the data.
 #[derive(Clone, Debug)]
 pub struct Song {
     /// The piece's id.
@@ -61,24 +61,26 @@ pub struct Song {
     pub music: Option<MusicSource>,
     /// Beats in seconds from frame 0, where the data have them.
     pub grid_beats_s: Vec<f64>,
-    /// Beats per minute, where the data say.
+    /// Beats per minute, where the data state them.
     pub bpm: Option<f64>,
 }
 
 impl<S: SplitKind> Portion<S> {
     pub(super) fn of(dataset: &Dataset) -> Result<Self, DataError> {
-        let mut dances: BTreeMap<&MotionSource, Dance<S>> = BTreeMap::new();
+        let mut recordings: BTreeMap<&MotionSource, Recording<S>> = BTreeMap::new();
         for piece in dataset
             .pieces
             .iter()
             .filter(|piece| piece.split == S::SPLIT)
         {
-            let dance = dances.entry(&piece.motion).or_insert_with(|| Dance {
-                source: piece.motion.clone(),
-                style: piece.style.clone(),
-                songs: Vec::new(),
-                split: PhantomData,
-            });
+            let dance = recordings
+                .entry(&piece.motion)
+                .or_insert_with(|| Recording {
+                    source: piece.motion.clone(),
+                    style: piece.style.clone(),
+                    songs: Vec::new(),
+                    split: PhantomData,
+                });
             dance.songs.push(Song {
                 id: piece.id.clone(),
                 music: piece.music.clone(),
@@ -86,60 +88,64 @@ impl<S: SplitKind> Portion<S> {
                 bpm: piece.bpm,
             });
         }
-        if dances.is_empty() {
+        if recordings.is_empty() {
             return Err(DataError::Empty {
                 path: dataset.root.clone(),
                 split: S::SPLIT,
             });
         }
         Ok(Self {
-            dances: dances.into_values().collect(),
+            recordings: recordings.into_values().collect(),
             skeleton: dataset.skeleton.clone(),
         })
     }
 
-    /// The dances, in a fixed order.
+    /// Returns the recordings, in a fixed order.
     #[must_use]
-    pub fn dances(&self) -> &[Dance<S>] {
-        &self.dances
+    pub fn recordings(&self) -> &[Recording<S>] {
+        &self.recordings
     }
 
-    /// The skeleton of all motions.
+    /// Returns the skeleton of all motions.
     #[must_use]
     pub fn skeleton(&self) -> &Skeleton {
         &self.skeleton
     }
 
-    /// Reads every motion, in the order of [`Portion::dances`].
+    /// Reads every motion, in the order of [`Portion::recordings`].
     ///
     /// # Errors
     /// [`DataError`] of the first that cannot be read.
     pub fn motions(&self) -> Result<Vec<Motion>, DataError> {
-        let motions = self.dances.iter().map(|dance| dance.motion(&self.skeleton));
+        let motions = self
+            .recordings
+            .iter()
+            .map(|dance| dance.motion(&self.skeleton));
         motions.collect()
     }
 }
 
-impl<S> Dance<S> {
-    /// Where the motion is.
+impl<S> Recording<S> {
+    /// Returns the source of the motion.
     #[must_use]
     pub fn source(&self) -> &MotionSource {
         &self.source
     }
 
-    /// Kind of dance, where the data say.
+    /// Returns the kind of dance, where the data state it.
     #[must_use]
     pub fn style(&self) -> Option<&str> {
         self.style.as_deref()
     }
 
-    /// The songs that it was paired with, one per piece.
+    /// Returns the songs that go with it, one per piece.
     #[must_use]
     pub fn songs(&self) -> &[Song] {
         &self.songs
     }
 
-    /// Beats of its music in seconds from frame 0, which all of its songs share; none where the data have none.
+    /// Returns the beats that all of its songs share, in seconds from frame 0; none where the data
+    /// have none.
     #[must_use]
     pub fn grid_beats_s(&self) -> &[f64] {
         let grids = self.songs.iter().map(|song| song.grid_beats_s.as_slice());

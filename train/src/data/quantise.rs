@@ -16,9 +16,9 @@ struct Knot {
     late: f64,
 }
 
-/// The dance with each of its beats moved towards the nearest of `grid_beats_s` (seconds from frame 0), by at
-/// most `most` frames; in between it is a little slower or faster, without a jump in speed. As long as before,
-/// and the same where there is nothing to move.
+/// Moves each beat of a motion towards the nearest of `grid_beats_s` (seconds from frame 0), by at
+/// most `most` frames; in between it is a little slower or faster, without a jump in speed. As long
+/// as before, and the same where there is nothing to move.
 #[must_use]
 pub fn quantised(motion: &Motion, grid_beats_s: &[f64], most: usize) -> Motion {
     let Some(last) = motion.frames().checked_sub(1) else {
@@ -87,7 +87,7 @@ fn late_at(knots: &[Knot], frame: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use bailando::motion::beat_nearness;
+    use bailando::motion::beat_align_score;
 
     use super::*;
     use crate::data::JOINTS;
@@ -119,8 +119,8 @@ mod tests {
         let late = dance(400, 40.0, 3.0);
         let on_time = quantised(&late, &grid(40.0), 4);
         let counts: Vec<usize> = (1..9).map(|count| 40 * count).collect();
-        assert!(beat_nearness(&counts, &beats(&late)) < 0.7);
-        assert!(beat_nearness(&counts, &beats(&on_time)) > 0.93);
+        assert!(beat_align_score(&counts, &beats(&late)) < 0.7);
+        assert!(beat_align_score(&counts, &beats(&on_time)) > 0.93);
         assert_eq!(on_time.frames(), late.frames());
     }
 

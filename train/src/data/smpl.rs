@@ -9,7 +9,7 @@ use glam::{Quat, Vec3};
 use super::{DataError, FPS, JOINTS, files};
 use crate::checkpoint::pickle::{NumpyArray, Object, Pickled, interpret_arrays};
 
-/// An hour of motion in float64 has 130 MB; the longest dance of AIST++ has 2 MB.
+/// An hour of motion in float64 has 130 MB; the longest motion of AIST++ has 2 MB.
 const MAX_BYTES: u64 = 128 << 20;
 
 pub(super) fn positions(path: &Path, skeleton: &Skeleton) -> Result<Positions, DataError> {

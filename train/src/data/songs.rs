@@ -56,8 +56,8 @@ impl Songs {
         Ok(())
     }
 
-    /// The song of the dance `id`: of the same name, else of the name of its music. AIST++ ids are
-    /// `genre_situation_camera_dancer_music_choreography`.
+    /// Returns the song of the motion `id`: of the same name, else of the name of its music. AIST++
+    /// ids are `genre_situation_camera_dancer_music_choreography`.
     pub(super) fn of(&self, id: &str) -> Option<&PathBuf> {
         let music = || {
             id.rsplit('_')

@@ -20,7 +20,7 @@ use tempfile::TempDir;
 /// Rate of [`clicks`] in Hz.
 const AUDIO_HZ: u32 = 16_000;
 
-/// Frames of the dances of [`TestFolder::good`].
+/// Frames of the motions of [`TestFolder::good`].
 pub(crate) const FRAMES: usize = 600;
 
 /// A folder in our own layout that a test may spoil before it is written.
@@ -30,7 +30,7 @@ pub(crate) struct TestFolder {
 }
 
 impl TestFolder {
-    /// Two training dances (the first with two songs) and one test dance of 10 s each, without
+    /// Two training motions (the first with two songs) and one test motion of 10 s each, without
     /// any fault.
     pub(crate) fn good(skeleton: &Skeleton) -> Self {
         let mut folder = Self {

@@ -20,7 +20,7 @@ fn good() -> TestFolder {
     TestFolder::good(&skeleton(0.93))
 }
 
-fn song_ids<S>(dance: &Dance<S>) -> Vec<&str> {
+fn song_ids<S>(dance: &Recording<S>) -> Vec<&str> {
     dance.songs().iter().map(|song| song.id.as_str()).collect()
 }
 
@@ -30,10 +30,10 @@ fn a_dance_comes_once_with_all_its_songs_and_in_its_own_split() {
     let data = open(folder.write()).unwrap();
     assert_eq!(data.layout(), Layout::Folder);
     let training = data.training().unwrap();
-    let songs: Vec<_> = training.dances().iter().map(song_ids).collect();
+    let songs: Vec<_> = training.recordings().iter().map(song_ids).collect();
     assert_eq!(songs, [vec!["one_a", "one_b"], vec!["two_a"]]);
     let evaluation = data.evaluation().unwrap();
-    let songs: Vec<_> = evaluation.dances().iter().map(song_ids).collect();
+    let songs: Vec<_> = evaluation.recordings().iter().map(song_ids).collect();
     assert_eq!(songs, [["three_a"]]);
     let expected = dance(data.skeleton(), FRAMES, 1);
     assert_eq!(training.motions().unwrap()[1].positions(), &expected);
@@ -116,7 +116,7 @@ fn the_references_files_are_read_with_music_of_either_rate() {
     let expected = dance(data.skeleton(), 80, 4);
     assert_eq!(training.motions().unwrap()[0].positions(), &expected);
     let music: Vec<_> = training
-        .dances()
+        .recordings()
         .iter()
         .map(|d| d.songs()[0].music.clone().unwrap())
         .collect();
@@ -125,8 +125,8 @@ fn the_references_files_are_read_with_music_of_either_rate() {
     assert!(library.conditioning(&music[0], 0).is_err());
     assert_eq!(library.conditioning(&music[1], 0).unwrap().dim(), (10, 438));
     assert!(library.conditioning(&music[1], 1).is_err());
-    assert!(!training.dances()[0].can_shift());
-    assert_eq!(data.evaluation().unwrap().dances().len(), 1);
+    assert!(!training.recordings()[0].can_shift());
+    assert_eq!(data.evaluation().unwrap().recordings().len(), 1);
 }
 
 #[test]
@@ -138,7 +138,7 @@ fn feature_files_of_songs_are_found_by_the_songs_name() {
     let rows = json!({"music_array": vec![vec![0.25; 438]; 12]});
     fs::write(root.join("music/mX.json"), rows.to_string()).unwrap();
     let training = open(root).unwrap().training().unwrap();
-    let music = training.dances()[0].songs()[0].music.clone().unwrap();
+    let music = training.recordings()[0].songs()[0].music.clone().unwrap();
     assert_eq!(music, MusicSource::Rows(root.join("music/mX.json")));
     let rows = library(&root.join("cache"))
         .conditioning(&music, 0)
@@ -175,14 +175,14 @@ fn aist_dances_find_their_songs_and_their_splits() {
     let data = Dataset::open(&root, &options).unwrap();
     assert_eq!(data.layout(), Layout::Aist);
     let training = data.training().unwrap();
-    let dance = &training.dances()[0];
-    assert_eq!(training.dances().len(), 1, "mBR1 is in no list");
+    let dance = &training.recordings()[0];
+    assert_eq!(training.recordings().len(), 1, "mBR1 is in no list");
     assert_eq!(
         dance.songs()[0].music,
         Some(MusicSource::Audio(songs.join("mBR0.wav")))
     );
     assert_eq!(dance.motion(training.skeleton()).unwrap().frames(), 12);
-    assert_eq!(data.evaluation().unwrap().dances().len(), 1);
+    assert_eq!(data.evaluation().unwrap().recordings().len(), 1);
 }
 
 #[test]
@@ -278,7 +278,8 @@ fn counts_follow_the_features_of_every_phase() {
         }
     }
     assert_eq!(counting.conditioning(&song, 3).unwrap(), rows[3]);
-    // Clicks every half second from 0.1 s on: rows of 8 frames a second later are at the same place.
+    // Clicks every half second from 0.1 s on: rows of 8 frames a second later are at the same
+    // place.
     let angle = |phase: usize, row: usize| rows[phase][[row, 438]].atan2(rows[phase][[row, 439]]);
     let turn = (angle(3, 30) - angle(0, 30)).rem_euclid(std::f32::consts::TAU);
     let counts = 3.0 / 60.0 / 0.25;

@@ -9,30 +9,27 @@ use crate::onnx::GraphError;
 /// Why a model directory could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum ExportError {
     /// The GPT and the VQ-VAE do not belong together.
     #[error(
-        "the GPT has {gpt} {half} codes, but the VQ-VAE's codebook has {codebook}: are they of the same model?"
+        "the GPT has {gpt} {half} codes, but the VQ-VAE's codebook has {codebook}: are they of the \
+         same model?"
     )]
     Vocabulary {
-        /// `upper` or `lower`.
         half: &'static str,
-        /// Rows of the GPT's embedding.
         gpt: usize,
-        /// Rows of the codebook.
         codebook: usize,
     },
     /// The root's decoder is not one of the frame that the motion is said to be in.
     #[error(
-        "the root's decoder gives {found} columns, but motion in the {} frame has {expected}: is the frame right?",
+        "the root's decoder gives {found} columns, but motion in the {} frame has {expected}: is \
+         the frame right?",
         match frame { MotionFrame::World => "world's", MotionFrame::Dancer => "dancer's" }
     )]
     Frame {
-        /// The frame.
         frame: MotionFrame,
-        /// Columns that it needs.
         expected: usize,
-        /// Columns of the weights.
         found: usize,
     },
     /// A graph could not be built.
@@ -42,10 +39,12 @@ pub enum ExportError {
     #[error("manifest.json: {0}")]
     Manifest(serde_json::Error),
     /// The directory is already there.
-    #[error("{} is already there: choose another directory, or replace the model in it with --force", .0.display())]
+    #[error("{} is already there: choose another directory, or replace the model in it with \
+             --force", .0.display())]
     Exists(PathBuf),
     /// The directory is no model's and will not be replaced.
-    #[error("{} holds something that is not a model directory: it will not be replaced", .0.display())]
+    #[error("{} holds something that is not a model directory: it will not be \
+             replaced", .0.display())]
     NotAModel(PathBuf),
     /// The path does not end in a name.
     #[error("{} is not a place for a new directory", .0.display())]
@@ -53,9 +52,7 @@ pub enum ExportError {
     /// A file or directory could not be written.
     #[error("{}: {source}", path.display())]
     Write {
-        /// The file or directory.
         path: PathBuf,
-        /// Why.
         source: std::io::Error,
     },
     /// What was written cannot be loaded.

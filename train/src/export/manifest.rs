@@ -88,7 +88,7 @@ fn checked_frame(vqvae: &VqVaeWeights, frame: MotionFrame) -> Result<MotionFrame
 }
 
 fn vocabulary(gpt: &GptWeights, vqvae: &VqVaeWeights) -> Result<Vocabulary, ExportError> {
-    let same = |half, embedding: &crate::Tensor, codebook: &crate::Tensor| {
+    let same = |half, embedding: &crate::HostTensor, codebook: &crate::HostTensor| {
         if embedding.dim(0) == codebook.dim(0) {
             return Ok(codebook.dim(0));
         }

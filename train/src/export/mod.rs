@@ -1,4 +1,4 @@
-//! A model directory from weights: graphs, manifest, and a write that leaves nothing half done.
+//! A model directory from weights: graphs and manifest, written in one step.
 
 mod error;
 mod manifest;
@@ -26,7 +26,7 @@ use staging::Staging;
 /// Codes that a window keeps when it moves, as the golden vectors and the model cards have it.
 pub const PUBLISHED_HOP: usize = 15;
 
-/// What a manifest says that the weights cannot.
+/// The manifest's entries that do not follow from the weights.
 #[derive(Clone, Debug)]
 pub struct Description {
     /// Name of the model.
@@ -35,7 +35,7 @@ pub struct Description {
     pub licence: String,
     /// Feature chain that the model was trained with.
     pub profile: Profile,
-    /// Periods in counts that the model hears of, behind the features.
+    /// Periods in counts that the model is conditioned on, after the features.
     pub count_periods: Vec<u32>,
     /// Pairs (upper, lower) to draw a start from; empty: any pair.
     pub start_codes: Vec<[u32; 2]>,
@@ -43,11 +43,11 @@ pub struct Description {
     pub suppressed_codes: SuppressedCodes,
     /// Default temperature; 0 takes the most likely code.
     pub temperature: f32,
-    /// Default guidance by the music's time; 1 is none.
+    /// Default scale of classifier-free guidance by the music; 1 is none.
     pub guidance: f32,
-    /// Default number of candidates for a phrase; 1 takes what comes.
+    /// Default number of candidates for a segment; 1 takes the first.
     pub candidates: usize,
-    /// Whether phrases are danced anew where they stand still.
+    /// Whether segments that stand still are regenerated.
     pub redo: bool,
     /// Codes that a window keeps when it moves ([`PUBLISHED_HOP`]); at most the context.
     pub hop: usize,
@@ -63,7 +63,8 @@ pub struct Description {
 
 /// Writes a model directory at `out`, checked by loading it before it takes its place.
 ///
-/// Weights of 8 bits are multiplied by what `ranges` say, or find ranges themselves where there are none.
+/// 8-bit weights take the ranges of their inputs from `ranges`; without one they find it at run
+/// time.
 ///
 /// An existing directory is only replaced with `replace`, and only if it is empty or a model
 /// directory; files that the new one does not have (a model card) stay.
@@ -97,7 +98,7 @@ pub fn write_model_directory(
     Ok(manifest)
 }
 
-/// Opens everything that the server will open.
+/// Opens everything that the server opens.
 fn load(folder: &Path) -> Result<(), ExportError> {
     let directory = ModelDirectory::open(folder)?;
     directory.gpt(1)?;

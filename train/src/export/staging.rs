@@ -10,7 +10,7 @@ use bailando::model::{FileEntry, file_sha256};
 
 use super::ExportError;
 
-/// The file that tells a model directory from any other.
+/// The file that marks a model directory.
 const MANIFEST: &str = "manifest.json";
 
 /// A directory under construction; dropped before it is published, it vanishes.

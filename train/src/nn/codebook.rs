@@ -1,78 +1,72 @@
-//! The choreographic memory: learned by moving averages, not by derivatives (ARCHITECTURE section 6).
+//! The codebook of pose codes, learned by moving averages (ARCHITECTURE section 6).
 
-use burn_tensor::{Distribution, Int, Tensor as Device, TensorData, backend::Backend};
+use burn_tensor::{Distribution, Int, Tensor, backend::Backend};
 use rand_chacha::{ChaCha8Rng, rand_core::Rng};
 
-use super::parameters::values;
-use crate::Tensor;
+use super::host::{codes, numbers, values};
+use crate::HostTensor;
 
-/// Spread, times `1 / sqrt(channels)`, of the noise on vectors that stand in more than once.
+/// Spread, times `1 / sqrt(channels)`, of the noise on repeated vectors.
 const COPY_NOISE: f64 = 0.01;
 
 /// Entries, and the moving averages that they are the quotient of.
 #[derive(Clone, Debug)]
 pub struct Codebook<B: Backend> {
-    entries: Device<B, 2>,
-    sums: Device<B, 2>,
-    counts: Device<B, 2>,
+    entries: Tensor<B, 2>,
+    sums: Tensor<B, 2>,
+    counts: Tensor<B, 2>,
     device: B::Device,
 }
 
 impl<B: Backend> Codebook<B> {
-    /// Entries `[codes, channels]`, each as if one vector had been assigned to it on average.
+    /// Takes entries `[codes, channels]`, each as if one vector had been assigned to it on average.
     #[must_use]
-    pub fn new(entries: &Tensor, device: &B::Device) -> Self {
-        let shape = [entries.dim(0), entries.dim(1)];
-        let data = TensorData::new(entries.data().to_vec(), shape);
-        Self::fresh(Device::from_data(data, device))
+    pub fn new(entries: &HostTensor, device: &B::Device) -> Self {
+        Self::fresh(loaded(entries, device))
     }
 
-    fn fresh(entries: Device<B, 2>) -> Self {
+    fn fresh(entries: Tensor<B, 2>) -> Self {
         let [codes, _] = entries.dims();
         let device = entries.device();
         Self {
             sums: entries.clone(),
-            counts: Device::ones([codes, 1], &device),
+            counts: Tensor::ones([codes, 1], &device),
             entries,
             device,
         }
     }
 
-    /// Entries drawn from `vectors` `[n, channels]`, the encoder's outputs for the first batch.
+    /// Draws entries from `vectors` `[n, channels]`, the encoder's outputs for the first batch.
     #[must_use]
-    pub fn from_batch(vectors: Device<B, 2>, codes: usize, random: &mut ChaCha8Rng) -> Self {
+    pub fn from_batch(vectors: Tensor<B, 2>, codes: usize, random: &mut ChaCha8Rng) -> Self {
         Self::fresh(candidates(vectors, codes, random))
     }
 
-    /// Entries, sums and counts, to be kept in a file.
+    /// Returns entries, sums and counts, for a file.
     #[must_use]
-    pub fn state(&self) -> [Tensor; 3] {
+    pub fn state(&self) -> [HostTensor; 3] {
         [&self.entries, &self.sums, &self.counts].map(|tensor| {
             let mut values = values(tensor).into_iter();
-            Tensor::from_fn(tensor.dims().to_vec(), |_| {
+            HostTensor::from_fn(tensor.dims().to_vec(), |_| {
                 values.next().unwrap_or(f32::NAN)
             })
         })
     }
 
-    /// What [`Codebook::state`] gave.
+    /// Restores what [`Codebook::state`] gave.
     #[must_use]
-    pub fn from_state([entries, sums, counts]: [&Tensor; 3], device: &B::Device) -> Self {
-        let load = |tensor: &Tensor| {
-            let shape = [tensor.dim(0), tensor.dim(1)];
-            Device::from_data(TensorData::new(tensor.data().to_vec(), shape), device)
-        };
+    pub fn from_state([entries, sums, counts]: [&HostTensor; 3], device: &B::Device) -> Self {
         Self {
-            entries: load(entries),
-            sums: load(sums),
-            counts: load(counts),
+            entries: loaded(entries, device),
+            sums: loaded(sums, device),
+            counts: loaded(counts, device),
             device: device.clone(),
         }
     }
 
     /// The entries, `[codes, channels]`.
     #[must_use]
-    pub fn entries(&self) -> &Device<B, 2> {
+    pub fn entries(&self) -> &Tensor<B, 2> {
         &self.entries
     }
 
@@ -83,8 +77,8 @@ impl<B: Backend> Codebook<B> {
         codes
     }
 
-    /// Nearest entry of each of `vectors` `[n, channels]` by squared Euclidean distance.
-    pub fn nearest(&self, vectors: Device<B, 2>) -> Device<B, 1, Int> {
+    /// Finds the nearest entry of each of `vectors` `[n, channels]` by squared Euclidean distance.
+    pub fn nearest(&self, vectors: Tensor<B, 2>) -> Tensor<B, 1, Int> {
         let [vector_count, _] = vectors.dims();
         // The vector's own square is the same for every entry.
         let squares = self.entries.clone().square().sum_dim(1).transpose();
@@ -95,8 +89,8 @@ impl<B: Backend> Codebook<B> {
         distances.argmin(1).reshape([vector_count])
     }
 
-    /// Entries by index, `[n, channels]`.
-    pub fn lookup(&self, indices: Device<B, 1, Int>) -> Device<B, 2> {
+    /// Looks up entries by index, `[n, channels]`.
+    pub fn lookup(&self, indices: Tensor<B, 1, Int>) -> Tensor<B, 2> {
         self.entries.clone().select(0, indices)
     }
 
@@ -106,15 +100,15 @@ impl<B: Backend> Codebook<B> {
     /// A replaced entry starts over with a count of one, so that it is always sum over count.
     pub fn update(
         &mut self,
-        vectors: Device<B, 2>,
-        indices: Device<B, 1, Int>,
+        vectors: Tensor<B, 2>,
+        indices: Tensor<B, 1, Int>,
         settings: MovingAverage,
         random: &mut ChaCha8Rng,
-    ) -> Device<B, 1> {
+    ) -> Tensor<B, 1> {
         let codes = self.codes();
         let assigned = self.one_hot(indices);
         let keep = settings.decay;
-        let average = |old: Device<B, 2>, new: Device<B, 2>| {
+        let average = |old: Tensor<B, 2>, new: Tensor<B, 2>| {
             old.mul_scalar(keep) + new.mul_scalar(1.0 - keep)
         };
         let counts = assigned.clone().sum_dim(0).reshape([codes, 1]);
@@ -131,18 +125,18 @@ impl<B: Backend> Codebook<B> {
         stale.float().sum()
     }
 
-    /// `exp` of the entropy of the codes' use: how many codes are in effective use, `[1]`.
-    pub fn perplexity(&self, indices: Device<B, 1, Int>) -> Device<B, 1> {
+    /// Returns `exp` of the entropy of the codes' use: the number of codes in effective use, `[1]`.
+    pub fn perplexity(&self, indices: Tensor<B, 1, Int>) -> Tensor<B, 1> {
         let share = self.one_hot(indices).mean_dim(0);
         let entropy = share.clone() * share.add_scalar(1e-10).log();
         entropy.sum().neg().exp()
     }
 
     /// `[n, codes]`.
-    fn one_hot(&self, indices: Device<B, 1, Int>) -> Device<B, 2> {
+    fn one_hot(&self, indices: Tensor<B, 1, Int>) -> Tensor<B, 2> {
         let [vector_count] = indices.dims();
         let codes = self.codes();
-        let all = Device::<B, 1, Int>::arange(0..codes as i64, &self.device).reshape([1, codes]);
+        let all = Tensor::<B, 1, Int>::arange(0..codes as i64, &self.device).reshape([1, codes]);
         let all = all.expand([vector_count, codes]);
         let wanted = indices
             .reshape([vector_count, 1])
@@ -154,18 +148,23 @@ impl<B: Backend> Codebook<B> {
 /// How the averages move.
 #[derive(Clone, Copy, Debug)]
 pub struct MovingAverage {
-    /// What is kept of the old average in a step.
+    /// Share of the old average that a step keeps.
     pub decay: f64,
     /// Average count below which an entry is replaced.
     pub restart_below: f64,
 }
 
-/// `count` different rows of `vectors`; where there are too few they are repeated, with noise.
+fn loaded<B: Backend>(tensor: &HostTensor, device: &B::Device) -> Tensor<B, 2> {
+    let shape = [tensor.dim(0), tensor.dim(1)];
+    numbers(tensor.data().to_vec(), shape, device)
+}
+
+/// Draws `count` different rows of `vectors`; too few rows are repeated, with noise.
 fn candidates<B: Backend>(
-    vectors: Device<B, 2>,
+    vectors: Tensor<B, 2>,
     count: usize,
     random: &mut ChaCha8Rng,
-) -> Device<B, 2> {
+) -> Tensor<B, 2> {
     let [available, channels] = vectors.dims();
     let device = vectors.device();
     let mut rows: Vec<i32> = (0..count.max(available))
@@ -177,14 +176,13 @@ fn candidates<B: Backend>(
         rows.swap(place, place + (random.next_u64() % left) as usize);
     }
     rows.truncate(count);
-    let rows = Device::<B, 1, Int>::from_data(TensorData::new(rows, [count]), &device);
-    let chosen = vectors.select(0, rows);
+    let chosen = vectors.select(0, codes(rows, [count], &device));
     if available >= count {
         return chosen;
     }
     let spread = COPY_NOISE / (channels as f64).sqrt();
     chosen
-        + Device::random(
+        + Tensor::random(
             [count, channels],
             Distribution::Normal(0.0, spread),
             &device,

@@ -1,12 +1,12 @@
 //! Convolutions along time and residual blocks of them, channels last.
 
-use burn_tensor::Tensor as Device;
+use burn_tensor::Tensor;
 
 use super::{
-    kernels::{Convolution as Plan, Kernels, Kind, Precision},
+    kernels::{Convolution as Plan, Kernels, Kind},
     parameters::{Parameters, Slot, Store},
 };
-use crate::{Tensor, weights::Convolution};
+use crate::{HostTensor, weights::Convolution};
 
 #[derive(Clone, Debug)]
 pub(super) struct ConvolutionNet {
@@ -29,7 +29,6 @@ impl ConvolutionNet {
                 rectified: false,
                 inputs: tensor.dim(1),
                 outputs: tensor.dim(2),
-                precision: Precision::default(),
             },
             weight: store.push(format!("{name}.weight"), tensor),
             bias: store.push(format!("{name}.bias"), weights.bias.clone()),
@@ -51,33 +50,21 @@ impl ConvolutionNet {
     pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        input: Device<B, 3>,
-    ) -> Device<B, 3> {
-        self.run(self.plan, parameters, input)
+        input: Tensor<B, 3>,
+    ) -> Tensor<B, 3> {
+        let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
+        B::convolve(self.plan, input, weight, bias)
     }
 
-    /// The same of `relu(input)`.
+    /// Runs the convolution on `relu(input)`.
     fn forward_rectified<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        input: Device<B, 3>,
-    ) -> Device<B, 3> {
+        input: Tensor<B, 3>,
+    ) -> Tensor<B, 3> {
         let plan = Plan {
             rectified: true,
             ..self.plan
-        };
-        self.run(plan, parameters, input)
-    }
-
-    fn run<B: Kernels>(
-        &self,
-        plan: Plan,
-        parameters: &Parameters<B>,
-        input: Device<B, 3>,
-    ) -> Device<B, 3> {
-        let plan = Plan {
-            precision: parameters.precision(),
-            ..plan
         };
         let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
         B::convolve(plan, input, weight, bias)
@@ -96,20 +83,20 @@ impl ResidualNet {
     pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        input: Device<B, 3>,
-    ) -> Device<B, 3> {
+        input: Tensor<B, 3>,
+    ) -> Tensor<B, 3> {
         let wide = self.dilated.forward_rectified(parameters, input.clone());
         input + self.pointwise.forward_rectified(parameters, wide)
     }
 }
 
-/// The tensor whose dimension `i` is dimension `axes[i]` of `tensor`.
-fn permuted(tensor: &Tensor, axes: [usize; 3]) -> Tensor {
+/// Returns the tensor whose dimension `i` is dimension `axes[i]` of `tensor`.
+fn permuted(tensor: &HostTensor, axes: [usize; 3]) -> HostTensor {
     let strides = [tensor.dim(1) * tensor.dim(2), tensor.dim(2), 1];
     let shape = axes.map(|axis| tensor.dim(axis));
     let strides = axes.map(|axis| strides[axis]);
     let [_, rows, columns] = shape;
-    Tensor::from_fn(shape.to_vec(), |flat| {
+    HostTensor::from_fn(shape.to_vec(), |flat| {
         let index = [
             flat / (rows * columns),
             flat / columns % rows,

@@ -1,6 +1,6 @@
-//! The critic (ARCHITECTURE section 3, paper `f_v`): how much reward is still to come in a state.
+//! The critic (ARCHITECTURE section 3, paper `f_v`): the reward still to come in a state.
 
-use burn_tensor::Tensor as Device;
+use burn_tensor::Tensor;
 
 use super::{
     kernels::Kernels,
@@ -9,7 +9,7 @@ use super::{
 };
 use crate::weights::CriticWeights;
 
-/// The network's plan; it takes in what [`super::GptNet::states`] gives.
+/// The network's plan; its input is the output of [`super::GptNet::states`].
 #[derive(Clone, Debug)]
 pub struct CriticNet {
     blocks: Vec<BlockNet>,
@@ -28,7 +28,7 @@ impl CriticNet {
             .map(|(index, block)| BlockNet::new(&format!("critic.blocks.{index}"), block, store));
         let blocks = blocks.collect();
         let final_norm = NormNet::new("critic.final_norm", &weights.final_norm, store);
-        let mut map = |name: &str, weights: &crate::Tensor| {
+        let mut map = |name: &str, weights: &crate::HostTensor| {
             store.push(format!("critic.{name}"), weights.transposed())
         };
         Self {
@@ -53,15 +53,17 @@ impl CriticNet {
         }
     }
 
-    /// Values of `[batch, 3 * steps, channels]` states, `[batch, steps]`: upper value + lower value.
+    /// Computes the values of `[batch, 3 * steps, channels]` states, upper + lower: `[batch,
+    /// steps]`.
     pub fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        states: Device<B, 3>,
-    ) -> Device<B, 2> {
+        states: Tensor<B, 3>,
+    ) -> Tensor<B, 2> {
         let [batch, tokens, _] = states.dims();
         let steps = tokens / STREAMS;
-        // It judges the whole body, also where the halves of the policy do not see each other.
+        // The critic sees the whole body, also where the halves of the policy do not see each
+        // other.
         let context = Attention::new(self.heads, steps, View::All, 0.0, parameters.device());
         let blocks = self.blocks.iter();
         let hidden = blocks.fold(states, |hidden, block| {

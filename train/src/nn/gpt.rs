@@ -1,36 +1,36 @@
 //! The motion GPT (ARCHITECTURE section 3): state network and policy.
 
-use burn_tensor::{Int, Tensor as Device, backend::Backend};
+use burn_tensor::{Int, Tensor, backend::Backend};
 
 use super::{
     kernels::Kernels,
     parameters::{Parameters, Slot, Store},
     transformer::{
-        Attention, BlockNet, KeysAndValues, LinearNet, NormNet, STREAMS, View, drop, multiplied,
+        self, Attention, BlockNet, KeysAndValues, LinearNet, NormNet, STREAMS, View, multiplied,
     },
 };
-use crate::{Tensor, weights::GptWeights};
+use crate::{HostTensor, weights::GptWeights};
 
 /// Scores of the next codes, `[batch, steps, vocabulary]` each.
 #[derive(Clone, Debug)]
 pub struct Logits<B: Backend> {
     /// Upper half.
-    pub upper: Device<B, 3>,
+    pub upper: Tensor<B, 3>,
     /// Lower half.
-    pub lower: Device<B, 3>,
+    pub lower: Tensor<B, 3>,
 }
 
-/// What the network remembers of pieces that it extends step by step.
+/// Keys and values of pieces that the network extends step by step.
 #[derive(Clone, Debug)]
-pub struct Memory<B: Backend> {
+pub struct KvCache<B: Backend> {
     blocks: Vec<Option<KeysAndValues<B>>>,
     steps: usize,
 }
 
-impl<B: Backend> Memory<B> {
-    /// Goes on with some of the pieces.
+impl<B: Backend> KvCache<B> {
+    /// Keeps some of the pieces.
     #[must_use]
-    pub fn of(self, pieces: &Device<B, 1, Int>) -> Self {
+    pub fn of(self, pieces: &Tensor<B, 1, Int>) -> Self {
         let blocks = self.blocks.into_iter();
         Self {
             blocks: blocks
@@ -63,7 +63,7 @@ impl GptNet {
     #[must_use]
     pub fn new(weights: &GptWeights, store: &mut Store) -> Self {
         let matrix =
-            |name: &str, tensor: Tensor, store: &mut Store| store.push(name.into(), tensor);
+            |name: &str, tensor: HostTensor, store: &mut Store| store.push(name.into(), tensor);
         let blocks = weights.blocks.iter().enumerate();
         Self {
             music: LinearNet::new("music", &weights.music, store),
@@ -83,8 +83,7 @@ impl GptNet {
         }
     }
 
-    /// Without attention from one half of the body to the other: as two networks that share their
-    /// weights.
+    /// Removes attention from one half of the body to the other: two networks that share weights.
     #[must_use]
     pub fn with_separate_halves(self) -> Self {
         Self {
@@ -93,8 +92,8 @@ impl GptNet {
         }
     }
 
-    /// For codes of the whole body: both streams carry the same ones, and the upper head alone
-    /// scores the next.
+    /// Changes the network to codes of the whole body: both streams carry the same ones, and only
+    /// the upper head scores the next.
     #[must_use]
     pub fn with_one_code(self) -> Self {
         Self {
@@ -109,7 +108,7 @@ impl GptNet {
         self.one_code
     }
 
-    /// The weights as they are in `store`.
+    /// Returns the weights in `store`.
     #[must_use]
     pub fn weights(&self, store: &Store) -> GptWeights {
         GptWeights {
@@ -135,13 +134,13 @@ impl GptNet {
         self.block
     }
 
-    /// Scores of the next codes after each of at most `block` steps. Music is `[batch, steps,
-    /// columns]`, codes `[batch, steps]`; `dropout` is the share of activations set to zero.
+    /// Computes the scores of the next codes after each of at most `block` steps. Music is `[batch,
+    /// steps, columns]`, codes `[batch, steps]`; `dropout` is the share of activations set to zero.
     pub fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        music: Device<B, 3>,
-        codes: [Device<B, 2, Int>; 2],
+        music: Tensor<B, 3>,
+        codes: [Tensor<B, 2, Int>; 2],
         dropout: f64,
     ) -> Logits<B> {
         let layers = self.blocks.len();
@@ -149,41 +148,42 @@ impl GptNet {
         self.policy(parameters, states, layers, dropout)
     }
 
-    /// A memory of nothing; none where a step does not see all streams of those before it.
+    /// Returns an empty cache; `None` where a step does not see all streams of the steps before it.
     #[must_use]
-    pub fn memory<B: Backend>(&self) -> Option<Memory<B>> {
-        (self.view == View::All).then(|| Memory {
+    pub fn empty_cache<B: Backend>(&self) -> Option<KvCache<B>> {
+        (self.view == View::All).then(|| KvCache {
             blocks: vec![None; self.blocks.len()],
             steps: 0,
         })
     }
 
-    /// Scores of the next codes after one step more than `memory` holds, of at most `block` in all: as
-    /// [`GptNet::forward`] gives them for its last step. Music is `[batch, 1, columns]`, codes `[batch, 1]`.
+    /// Computes the scores after one step more than the cache holds, at most `block` in all, as
+    /// [`GptNet::forward`] does for its last step. Music is `[batch, 1, columns]`, codes `[batch,
+    /// 1]`.
     pub fn extend<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        memory: &mut Memory<B>,
-        music: Device<B, 3>,
-        codes: [Device<B, 2, Int>; 2],
+        cache: &mut KvCache<B>,
+        music: Tensor<B, 3>,
+        codes: [Tensor<B, 2, Int>; 2],
     ) -> Logits<B> {
         let embedded = self.embedded(parameters, codes);
-        let tokens = self.tokens(parameters, music, embedded, memory.steps);
-        let blocks = self.blocks.iter().zip(&mut memory.blocks);
+        let tokens = self.tokens(parameters, music, embedded, cache.steps);
+        let blocks = self.blocks.iter().zip(&mut cache.blocks);
         let hidden = blocks.fold(tokens, |hidden, (block, known)| {
             block.extend(parameters, hidden, self.heads, known)
         });
-        memory.steps += 1;
+        cache.steps += 1;
         self.scores(parameters, hidden)
     }
 
-    /// The same for vectors `[batch, steps, n]` in place of codes, where the vocabulary is `n`: their
-    /// columns weigh the rows of the embedding tables, and the scores are the next vectors.
+    /// Runs the network on vectors `[batch, steps, n]` in place of codes, with a vocabulary of `n`:
+    /// their columns weigh the rows of the embedding tables, and the scores are the next vectors.
     pub fn regress<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        music: Device<B, 3>,
-        [upper, lower]: [Device<B, 3>; 2],
+        music: Tensor<B, 3>,
+        [upper, lower]: [Tensor<B, 3>; 2],
         dropout: f64,
     ) -> Logits<B> {
         let upper = multiplied(upper, parameters.matrix(self.upper_embedding));
@@ -193,27 +193,27 @@ impl GptNet {
         self.policy(parameters, states, layers, dropout)
     }
 
-    /// What the state network makes of music and codes, `[batch, 3 * steps, channels]`: its blocks
-    /// are the first `layers`.
+    /// Computes the states of music and codes, `[batch, 3 * steps, channels]`: the state network is
+    /// the first `layers` blocks.
     pub fn states<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        music: Device<B, 3>,
-        codes: [Device<B, 2, Int>; 2],
+        music: Tensor<B, 3>,
+        codes: [Tensor<B, 2, Int>; 2],
         layers: usize,
         dropout: f64,
-    ) -> Device<B, 3> {
+    ) -> Tensor<B, 3> {
         let embedded = self.embedded(parameters, codes);
         self.embedded_states(parameters, music, embedded, layers, dropout)
     }
 
-    /// The codes' rows of their tables.
+    /// Looks up the codes in their tables.
     fn embedded<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        [upper, lower]: [Device<B, 2, Int>; 2],
-    ) -> [Device<B, 3>; 2] {
-        let rows = |slot, codes: Device<B, 2, Int>| {
+        [upper, lower]: [Tensor<B, 2, Int>; 2],
+    ) -> [Tensor<B, 3>; 2] {
+        let rows = |slot, codes: Tensor<B, 2, Int>| {
             let [batch, steps] = codes.dims();
             let rows = parameters
                 .matrix(slot)
@@ -230,42 +230,43 @@ impl GptNet {
     fn embedded_states<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        music: Device<B, 3>,
-        embedded: [Device<B, 3>; 2],
+        music: Tensor<B, 3>,
+        embedded: [Tensor<B, 3>; 2],
         layers: usize,
         dropout: f64,
-    ) -> Device<B, 3> {
+    ) -> Tensor<B, 3> {
         let [_, steps, _] = music.dims();
         let tokens = self.tokens(parameters, music, embedded, 0);
         let context = self.attention(steps, dropout, parameters);
         let blocks = self.blocks.iter().take(layers);
-        blocks.fold(drop(tokens, dropout), |hidden, block| {
+        blocks.fold(transformer::dropout(tokens, dropout), |hidden, block| {
             block.forward(parameters, hidden, &context)
         })
     }
 
-    /// All streams of steps whose first has the position `first`, `[batch, 3 * steps, channels]`.
+    /// Embeds all streams of steps whose first has the position `first`, `[batch, 3 * steps,
+    /// channels]`.
     fn tokens<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        music: Device<B, 3>,
-        [upper, lower]: [Device<B, 3>; 2],
+        music: Tensor<B, 3>,
+        [upper, lower]: [Tensor<B, 3>; 2],
         first: usize,
-    ) -> Device<B, 3> {
+    ) -> Tensor<B, 3> {
         let [_, steps, _] = music.dims();
         let music = self.music.forward(parameters, music);
         let table = parameters.matrix(self.positions);
         let places =
             (0..STREAMS).map(|stream| table.clone().narrow(0, stream * self.block + first, steps));
-        let places = Device::cat(places.collect(), 0).unsqueeze_dim(0);
-        Device::cat(vec![music, upper, lower], 1) + places
+        let places = Tensor::cat(places.collect(), 0).unsqueeze_dim(0);
+        Tensor::cat(vec![music, upper, lower], 1) + places
     }
 
-    /// What the policy makes of such states: it has the blocks from `layers` on.
+    /// Computes the scores of such states: the policy is the blocks from `layers` on.
     pub fn policy<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        states: Device<B, 3>,
+        states: Tensor<B, 3>,
         layers: usize,
         dropout: f64,
     ) -> Logits<B> {
@@ -279,13 +280,13 @@ impl GptNet {
         self.scores(parameters, hidden)
     }
 
-    fn scores<B: Kernels>(&self, parameters: &Parameters<B>, hidden: Device<B, 3>) -> Logits<B> {
+    fn scores<B: Kernels>(&self, parameters: &Parameters<B>, hidden: Tensor<B, 3>) -> Logits<B> {
         let [_, tokens, _] = hidden.dims();
         let steps = tokens / STREAMS;
         let hidden = self.final_norm.forward(parameters, hidden);
         let scores = |slot, stream: usize| {
             let rows = hidden.clone().narrow(1, stream * steps, steps);
-            parameters.see(slot, &rows);
+            parameters.observe(slot, &rows);
             multiplied(rows, parameters.matrix(slot))
         };
         let upper = scores(self.upper_head, 1);
@@ -329,17 +330,17 @@ mod tests {
         let mut store = Store::default();
         let net = net(GptNet::new(&random_gpt(sizes, 7), &mut store));
         let parameters = Parameters::<Flex>::from_store(&store, &FlexDevice);
-        let rows = Device::full([1, STEPS, 4], music as f32, &FlexDevice);
+        let rows = Tensor::full([1, STEPS, 4], music as f32, &FlexDevice);
         let codes = [upper, lower].map(|code| {
             let codes = TensorData::new(vec![code; STEPS], [1, STEPS]);
-            Device::from_data(codes, &FlexDevice)
+            Tensor::from_data(codes, &FlexDevice)
         });
         let logits = net.forward(&parameters, rows, codes, 0.0);
         [values(&logits.upper), values(&logits.lower)]
     }
 
     #[test]
-    fn separate_halves_hear_the_music_but_not_each_other() {
+    fn separate_halves_see_the_music_but_not_each_other() {
         for separate in [false, true] {
             let form = |net: GptNet| match separate {
                 true => net.with_separate_halves(),
@@ -370,10 +371,10 @@ mod tests {
         let mut store = Store::default();
         let net = GptNet::new(&random_gpt(sizes, 7), &mut store);
         let parameters = Parameters::<Flex>::from_store(&store, &FlexDevice);
-        let music = Device::full([1, 2, 4], 0.5, &FlexDevice);
-        let codes = [[[2, 0]], [[1, 1]]].map(|codes| Device::from_ints(codes, &FlexDevice));
-        let upper = Device::from_floats([[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]], &FlexDevice);
-        let lower = Device::from_floats([[[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]], &FlexDevice);
+        let music = Tensor::full([1, 2, 4], 0.5, &FlexDevice);
+        let codes = [[[2, 0]], [[1, 1]]].map(|codes| Tensor::from_ints(codes, &FlexDevice));
+        let upper = Tensor::from_floats([[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]], &FlexDevice);
+        let lower = Tensor::from_floats([[[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]], &FlexDevice);
         let wanted = net.forward(&parameters, music.clone(), codes, 0.0);
         let found = net.regress(&parameters, music, [upper, lower], 0.0);
         for (found, wanted) in [(found.upper, wanted.upper), (found.lower, wanted.lower)] {

@@ -6,7 +6,7 @@ use rand_chacha::{
 };
 
 use crate::{
-    Tensor,
+    HostTensor,
     weights::{
         Block, Convolution, CriticWeights, DecoderLevel, DecoderWeights, EncoderLevel,
         EncoderWeights, GptWeights, HalfWeights, LayerNorm, Linear, ResidualBlock, VqVaeWeights,
@@ -162,8 +162,8 @@ fn norm(channels: usize) -> LayerNorm {
     }
 }
 
-fn filled(shape: Vec<usize>, value: f32) -> Tensor {
-    Tensor::from_fn(shape, |_| value)
+fn filled(shape: Vec<usize>, value: f32) -> HostTensor {
+    HostTensor::from_fn(shape, |_| value)
 }
 
 struct Random(ChaCha8Rng);
@@ -179,13 +179,13 @@ impl Random {
         (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 
-    fn uniform(&mut self, shape: Vec<usize>, bound: f64) -> Tensor {
-        Tensor::from_fn(shape, |_| ((2.0 * self.unit() - 1.0) * bound) as f32)
+    fn uniform(&mut self, shape: Vec<usize>, bound: f64) -> HostTensor {
+        HostTensor::from_fn(shape, |_| ((2.0 * self.unit() - 1.0) * bound) as f32)
     }
 
     /// Box and Muller's transform.
-    fn normal(&mut self, shape: Vec<usize>) -> Tensor {
-        Tensor::from_fn(shape, |_| {
+    fn normal(&mut self, shape: Vec<usize>) -> HostTensor {
+        HostTensor::from_fn(shape, |_| {
             let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
             let angle = std::f64::consts::TAU * self.unit();
             (GPT_SPREAD * radius * angle.cos()) as f32

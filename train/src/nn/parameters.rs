@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use burn_tensor::{Tensor as Device, TensorData, backend::AutodiffBackend, backend::Backend};
+use burn_tensor::{Tensor, TensorData, backend::AutodiffBackend, backend::Backend};
 
-use super::{kernels::Precision, watch::Watch};
-use crate::Tensor;
+use super::{host::values, range_observer::RangeObserver};
+use crate::HostTensor;
 
 /// Place of a tensor in a [`Store`] and in the [`Parameters`] made of it.
 #[derive(Clone, Copy, Debug)]
@@ -14,23 +14,23 @@ pub(super) struct Slot(usize);
 /// Named tensors on the host, in the layout that the forward passes want.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Store {
-    entries: Vec<(String, Tensor)>,
+    entries: Vec<(String, HostTensor)>,
 }
 
 impl Store {
     /// Appends a tensor.
-    pub(super) fn push(&mut self, name: String, tensor: Tensor) -> Slot {
+    pub(super) fn push(&mut self, name: String, tensor: HostTensor) -> Slot {
         self.entries.push((name, tensor));
         Slot(self.entries.len() - 1)
     }
 
-    pub(super) fn get(&self, slot: Slot) -> &Tensor {
+    pub(super) fn get(&self, slot: Slot) -> &HostTensor {
         &self.entries[slot.0].1
     }
 
-    /// Names and tensors, in order.
+    /// Returns names and tensors, in order.
     #[must_use]
-    pub fn entries(&self) -> &[(String, Tensor)] {
+    pub fn entries(&self) -> &[(String, HostTensor)] {
         &self.entries
     }
 
@@ -45,7 +45,7 @@ impl Store {
         names(self) == names(other)
     }
 
-    /// Values that lie a share of the way to those of another store with the same names and shapes.
+    /// Returns values a share of the way to those of another store with the same names and shapes.
     #[must_use]
     pub fn towards(&self, other: &Self, share: f64) -> Self {
         let between = |(from, to): (&f32, &f32)| {
@@ -60,7 +60,7 @@ impl Store {
         self.with_values(values.collect())
     }
 
-    /// The same names and shapes with other values.
+    /// Returns the same names and shapes with other values.
     #[must_use]
     pub fn with_values(&self, values: Vec<Vec<f32>>) -> Self {
         let entries = self.entries.iter().zip(values);
@@ -68,7 +68,7 @@ impl Store {
             entries: entries
                 .map(|((name, old), mut values)| {
                     let mut values = values.drain(..);
-                    let tensor = Tensor::from_fn(old.shape().to_vec(), |_| {
+                    let tensor = HostTensor::from_fn(old.shape().to_vec(), |_| {
                         values.next().unwrap_or(f32::NAN)
                     });
                     (name.clone(), tensor)
@@ -83,11 +83,10 @@ impl Store {
 /// One rank for all keeps the optimiser and the files free of ranks.
 #[derive(Clone, Debug)]
 pub struct Parameters<B: Backend> {
-    tensors: Vec<Device<B, 1>>,
+    tensors: Vec<Tensor<B, 1>>,
     shapes: Vec<Vec<usize>>,
     device: B::Device,
-    precision: Precision,
-    watch: Option<Arc<Watch>>,
+    observer: Option<Arc<RangeObserver>>,
 }
 
 impl<B: Backend> Parameters<B> {
@@ -97,7 +96,7 @@ impl<B: Backend> Parameters<B> {
         let tensors = store.entries.iter().map(|(_, tensor)| {
             let data = tensor.data().to_vec();
             let length = data.len();
-            Device::from_data(TensorData::new(data, [length]), device)
+            Tensor::from_data(TensorData::new(data, [length]), device)
         });
         Self {
             tensors: tensors.collect(),
@@ -107,22 +106,21 @@ impl<B: Backend> Parameters<B> {
                 .map(|(_, tensor)| tensor.shape().to_vec())
                 .collect(),
             device: device.clone(),
-            precision: Precision::default(),
-            watch: None,
+            observer: None,
         }
     }
 
-    /// The same tensors, which remember what they are multiplied with.
+    /// Makes the tensors record the ranges of their inputs.
     #[must_use]
-    pub(crate) fn watched(self) -> Self {
-        let watch = Some(Arc::new(Watch::new(self.tensors.len())));
-        Self { watch, ..self }
+    pub(crate) fn observed(self) -> Self {
+        let observer = Some(Arc::new(RangeObserver::new(self.tensors.len())));
+        Self { observer, ..self }
     }
 
-    /// The least and the largest number that each watched tensor was multiplied with, by the names of `store`: means
-    /// over all passes.
+    /// Returns the least and the largest input of each observed tensor, by the names of `store`:
+    /// means over all passes.
     pub(crate) fn input_ranges(&self, store: &Store) -> Vec<(String, [f32; 2])> {
-        let ranges = self.watch.iter().flat_map(|watch| watch.ranges());
+        let ranges = self.observer.iter().flat_map(|observer| observer.ranges());
         let names = store.entries.iter();
         ranges
             .zip(names)
@@ -130,21 +128,11 @@ impl<B: Backend> Parameters<B> {
             .collect()
     }
 
-    /// A tensor is about to be multiplied with `input`.
-    pub(super) fn see<const D: usize>(&self, slot: Slot, input: &Device<B, D>) {
-        if let Some(watch) = &self.watch {
-            watch.see(slot.0, input);
+    /// Records an input of a tensor.
+    pub(super) fn observe<const D: usize>(&self, slot: Slot, input: &Tensor<B, D>) {
+        if let Some(observer) = &self.observer {
+            observer.record(slot.0, input);
         }
-    }
-
-    /// The same tensors, whose products are computed in `precision`.
-    #[must_use]
-    pub fn in_precision(self, precision: Precision) -> Self {
-        Self { precision, ..self }
-    }
-
-    pub(super) fn precision(&self) -> Precision {
-        self.precision
     }
 
     /// Copies the values back to the host, under the names of `store`.
@@ -153,37 +141,37 @@ impl<B: Backend> Parameters<B> {
         store.with_values(self.tensors.iter().map(values).collect())
     }
 
-    /// The device that the tensors are on.
+    /// Returns the device of the tensors.
     #[must_use]
     pub fn device(&self) -> &B::Device {
         &self.device
     }
 
-    /// The flat tensors, in the store's order.
+    /// Returns the flat tensors, in the store's order.
     #[must_use]
-    pub fn tensors(&self) -> &[Device<B, 1>] {
+    pub fn tensors(&self) -> &[Tensor<B, 1>] {
         &self.tensors
     }
 
-    /// The flat tensors, to be replaced by others of the same length.
-    pub(crate) fn tensors_mut(&mut self) -> &mut [Device<B, 1>] {
+    /// Returns the flat tensors, for replacement by others of the same length.
+    pub(crate) fn tensors_mut(&mut self) -> &mut [Tensor<B, 1>] {
         &mut self.tensors
     }
 
-    /// One tensor as it is kept.
-    pub(super) fn flat(&self, slot: Slot) -> Device<B, 1> {
+    /// Returns one flat tensor.
+    pub(super) fn flat(&self, slot: Slot) -> Tensor<B, 1> {
         self.tensors[slot.0].clone()
     }
 
-    /// The first dimensions taken together: a matrix with as many columns as the last dimension.
-    pub(super) fn matrix(&self, slot: Slot) -> Device<B, 2> {
+    /// Returns a tensor as a matrix with as many columns as its last dimension.
+    pub(super) fn matrix(&self, slot: Slot) -> Tensor<B, 2> {
         let columns = self.shapes[slot.0].last().copied().unwrap_or(1);
         let tensor = self.tensors[slot.0].clone();
         let rows = tensor.dims()[0] / columns.max(1);
         tensor.reshape([rows, columns])
     }
 
-    /// The same values, recording what is computed with them.
+    /// Returns the same values, with derivatives recorded.
     #[must_use]
     pub fn tracked<A: AutodiffBackend<InnerBackend = B, Device = B::Device>>(
         &self,
@@ -191,18 +179,17 @@ impl<B: Backend> Parameters<B> {
         let tensors = self.tensors.iter();
         Parameters {
             tensors: tensors
-                .map(|tensor| Device::from_inner(tensor.clone()).require_grad())
+                .map(|tensor| Tensor::from_inner(tensor.clone()).require_grad())
                 .collect(),
             shapes: self.shapes.clone(),
             device: self.device.clone(),
-            precision: self.precision,
-            watch: None,
+            observer: None,
         }
     }
 }
 
 impl<A: AutodiffBackend> Parameters<A> {
-    /// The same values, recording nothing: for parts that do not learn.
+    /// Returns the same values without derivatives, for parts that do not learn.
     #[must_use]
     pub fn untracked(&self) -> Parameters<A::InnerBackend> {
         Parameters {
@@ -213,13 +200,7 @@ impl<A: AutodiffBackend> Parameters<A> {
                 .collect(),
             shapes: self.shapes.clone(),
             device: self.device.clone(),
-            precision: self.precision,
-            watch: None,
+            observer: None,
         }
     }
-}
-
-/// The values of a tensor on the host, in row-major order.
-pub(crate) fn values<B: Backend, const D: usize>(tensor: &Device<B, D>) -> Vec<f32> {
-    tensor.to_data().iter::<f32>().collect()
 }

@@ -1,7 +1,7 @@
 //! Blocks of the motion GPT: attention across the three streams, perceptron, normalisation
 //! (ARCHITECTURE section 3).
 
-use burn_tensor::{Bool, Int, Tensor as Device, TensorData, activation::softmax, backend::Backend};
+use burn_tensor::{Bool, Int, Tensor, TensorData, activation::softmax, backend::Backend};
 
 use super::{
     kernels::{Convolution, Heads, Kernels, Kind, Queries},
@@ -17,7 +17,7 @@ pub(super) const STREAMS: usize = 3;
 pub(super) enum View {
     /// All three (paper section 3.2, cross-conditional).
     All,
-    /// Music and itself; music sees music alone, or the halves would hear of each other by it.
+    /// Music and itself; music sees music alone, or it would connect the halves.
     OwnAndMusic,
 }
 
@@ -30,7 +30,7 @@ impl View {
 
 /// True where attention is forbidden, `[3 * steps, 3 * steps]`: position `i` of any stream
 /// sees positions up to `i` of the streams in its view.
-fn causal_mask<B: Backend>(steps: usize, view: View, device: &B::Device) -> Device<B, 2, Bool> {
+fn causal_mask<B: Backend>(steps: usize, view: View, device: &B::Device) -> Tensor<B, 2, Bool> {
     let length = STREAMS * steps;
     let forbidden: Vec<bool> = (0..length * length)
         .map(|flat| {
@@ -38,13 +38,13 @@ fn causal_mask<B: Backend>(steps: usize, view: View, device: &B::Device) -> Devi
             seen % steps > seer % steps || view.forbids(seer / steps, seen / steps)
         })
         .collect();
-    Device::from_data(TensorData::new(forbidden, [length, length]), device)
+    Tensor::from_data(TensorData::new(forbidden, [length, length]), device)
 }
 
-/// What all blocks of a pass share.
+/// Settings that all blocks of a pass share.
 pub(super) struct Attention<B: Backend> {
     heads: usize,
-    mask: Device<B, 2, Bool>,
+    mask: Tensor<B, 2, Bool>,
     dropout: f64,
 }
 
@@ -64,27 +64,27 @@ impl<B: Backend> Attention<B> {
     }
 }
 
-/// What a block remembers of the steps so far: `[batch, tokens, channels]` each.
+/// Keys and values of the steps so far, `[batch, tokens, channels]` each.
 #[derive(Clone, Debug)]
 pub(super) struct KeysAndValues<B: Backend> {
-    keys: Device<B, 3>,
-    values: Device<B, 3>,
+    keys: Tensor<B, 3>,
+    values: Tensor<B, 3>,
 }
 
 impl<B: Backend> KeysAndValues<B> {
-    /// With tokens of one more step.
-    fn with(earlier: Option<Self>, keys: Device<B, 3>, values: Device<B, 3>) -> Self {
+    /// Appends the tokens of one more step.
+    fn with(earlier: Option<Self>, keys: Tensor<B, 3>, values: Tensor<B, 3>) -> Self {
         match earlier {
             None => Self { keys, values },
             Some(earlier) => Self {
-                keys: Device::cat(vec![earlier.keys, keys], 1),
-                values: Device::cat(vec![earlier.values, values], 1),
+                keys: Tensor::cat(vec![earlier.keys, keys], 1),
+                values: Tensor::cat(vec![earlier.values, values], 1),
             },
         }
     }
 
-    /// Of some rows of the batch.
-    pub(super) fn of(self, rows: Device<B, 1, Int>) -> Self {
+    /// Keeps some rows of the batch.
+    pub(super) fn of(self, rows: Tensor<B, 1, Int>) -> Self {
         Self {
             keys: self.keys.select(0, rows.clone()),
             values: self.values.select(0, rows),
@@ -144,33 +144,33 @@ impl BlockNet {
     pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        input: Device<B, 3>,
+        input: Tensor<B, 3>,
         context: &Attention<B>,
-    ) -> Device<B, 3> {
+    ) -> Tensor<B, 3> {
         let normed = self.attention_norm.forward(parameters, input.clone());
         let attended = self.attend(parameters, normed, context);
-        let hidden = input + drop(attended, context.dropout);
+        let hidden = input + dropout(attended, context.dropout);
         let normed = self.mlp_norm.forward(parameters, hidden.clone());
         let wide = B::activate(self.mlp_in.forward(parameters, normed));
-        hidden + drop(self.mlp_out.forward(parameters, wide), context.dropout)
+        hidden + dropout(self.mlp_out.forward(parameters, wide), context.dropout)
     }
 
-    /// [`BlockNet::forward`] for the tokens of one step after those that `memory` holds, all of which it
-    /// sees, as it sees its own; without dropout.
+    /// [`BlockNet::forward`] for the tokens of the step after those in `cache`, without dropout. A
+    /// token sees all tokens of the cache and of its own step.
     pub(super) fn extend<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        input: Device<B, 3>,
+        input: Tensor<B, 3>,
         heads: usize,
-        memory: &mut Option<KeysAndValues<B>>,
-    ) -> Device<B, 3> {
+        cache: &mut Option<KeysAndValues<B>>,
+    ) -> Tensor<B, 3> {
         let normed = self.attention_norm.forward(parameters, input.clone());
         let part = |linear: &LinearNet| linear.forward(parameters, normed.clone());
         let (keys, values) = (part(&self.key), part(&self.value));
-        let known = KeysAndValues::with(memory.take(), keys, values);
+        let known = KeysAndValues::with(cache.take(), keys, values);
         let [batch, tokens, channels] = input.dims();
         let size = channels / heads;
-        let split = |tensor: Device<B, 3>| {
+        let split = |tensor: Tensor<B, 3>| {
             let [_, length, _] = tensor.dims();
             tensor.reshape([batch, length, heads, size]).swap_dims(1, 2)
         };
@@ -179,7 +179,7 @@ impl BlockNet {
         let scores = query.matmul(split(known.keys.clone()).swap_dims(2, 3));
         let mixed = softmax(scores, 3).matmul(split(known.values.clone()));
         let mixed = mixed.swap_dims(1, 2).reshape([batch, tokens, channels]);
-        *memory = Some(known);
+        *cache = Some(known);
         let hidden = input + self.projection.forward(parameters, mixed);
         let normed = self.mlp_norm.forward(parameters, hidden.clone());
         let wide = B::activate(self.mlp_in.forward(parameters, normed));
@@ -189,9 +189,9 @@ impl BlockNet {
     fn attend<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        input: Device<B, 3>,
+        input: Tensor<B, 3>,
         context: &Attention<B>,
-    ) -> Device<B, 3> {
+    ) -> Tensor<B, 3> {
         let part = |linear: &LinearNet| linear.forward(parameters, input.clone());
         let queries = Queries {
             query: part(&self.query),
@@ -200,7 +200,7 @@ impl BlockNet {
         };
         let [batch, length, _] = input.dims();
         let kept = (context.dropout > 0.0).then(|| {
-            let like = Device::empty([batch, context.heads, length, length], &input.device());
+            let like = Tensor::empty([batch, context.heads, length, length], &input.device());
             B::kept(&like, context.dropout)
         });
         let heads = Heads {
@@ -240,16 +240,15 @@ impl LinearNet {
     pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        input: Device<B, 3>,
-    ) -> Device<B, 3> {
+        input: Tensor<B, 3>,
+    ) -> Tensor<B, 3> {
         let plan = Convolution {
             kind: Kind::Pointwise,
             rectified: false,
             inputs: self.inputs,
             outputs: self.outputs,
-            precision: parameters.precision(),
         };
-        parameters.see(self.weight, &input);
+        parameters.observe(self.weight, &input);
         let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
         B::convolve(plan, input, weight, bias)
     }
@@ -279,15 +278,15 @@ impl NormNet {
     pub(super) fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        input: Device<B, 3>,
-    ) -> Device<B, 3> {
+        input: Tensor<B, 3>,
+    ) -> Tensor<B, 3> {
         let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
         B::normalise(input, weight, bias)
     }
 }
 
-/// The last dimension times a matrix, as one product.
-pub(super) fn multiplied<B: Backend>(input: Device<B, 3>, matrix: Device<B, 2>) -> Device<B, 3> {
+/// Multiplies the last dimension by a matrix, as one product.
+pub(super) fn multiplied<B: Backend>(input: Tensor<B, 3>, matrix: Tensor<B, 2>) -> Tensor<B, 3> {
     let [batch, length, channels] = input.dims();
     let [_, outputs] = matrix.dims();
     let rows = input.reshape([batch * length, channels]);
@@ -295,7 +294,7 @@ pub(super) fn multiplied<B: Backend>(input: Device<B, 3>, matrix: Device<B, 2>) 
 }
 
 /// Sets a share of the values to zero and scales the others up.
-pub(super) fn drop<B: Kernels, const D: usize>(input: Device<B, D>, share: f64) -> Device<B, D> {
+pub(super) fn dropout<B: Kernels, const D: usize>(input: Tensor<B, D>, share: f64) -> Tensor<B, D> {
     if share <= 0.0 {
         return input;
     }

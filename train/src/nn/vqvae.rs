@@ -1,6 +1,6 @@
 //! Encoder, decoder and half of the pose VQ-VAE (ARCHITECTURE section 2).
 
-use burn_tensor::{Int, Tensor as Device};
+use burn_tensor::{Int, Tensor};
 
 use super::{
     convolution::{ConvolutionNet, ResidualNet},
@@ -34,7 +34,7 @@ struct Level {
 }
 
 impl Level {
-    fn stacked<B: Kernels>(&self, parameters: &Parameters<B>, input: Device<B, 3>) -> Device<B, 3> {
+    fn stacked<B: Kernels>(&self, parameters: &Parameters<B>, input: Tensor<B, 3>) -> Tensor<B, 3> {
         let blocks = self.stack.iter();
         blocks.fold(input, |hidden, block| block.forward(parameters, hidden))
     }
@@ -65,7 +65,7 @@ impl EncoderNet {
         }
     }
 
-    /// The weights as they are in `store`.
+    /// Returns the weights in `store`.
     #[must_use]
     pub fn weights(&self, store: &Store) -> EncoderWeights {
         EncoderWeights {
@@ -81,12 +81,12 @@ impl EncoderNet {
         }
     }
 
-    /// `[batch, frames, columns]` to `[batch, codes, embedding]`; frames are a multiple of a code's.
+    /// Encodes `[batch, frames, columns]` to `[batch, codes, embedding]`, 8 frames a code.
     pub fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        motion: Device<B, 3>,
-    ) -> Device<B, 3> {
+        motion: Tensor<B, 3>,
+    ) -> Tensor<B, 3> {
         let hidden = self.levels.iter().fold(motion, |hidden, level| {
             level.stacked(parameters, level.rate.forward(parameters, hidden))
         });
@@ -119,7 +119,7 @@ impl DecoderNet {
         }
     }
 
-    /// The weights as they are in `store`.
+    /// Returns the weights in `store`.
     #[must_use]
     pub fn weights(&self, store: &Store) -> DecoderWeights {
         DecoderWeights {
@@ -136,12 +136,12 @@ impl DecoderNet {
         }
     }
 
-    /// `[batch, codes, embedding]` to `[batch, frames, columns]`.
+    /// Decodes `[batch, codes, embedding]` to `[batch, frames, columns]`.
     pub fn forward<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
-        embeddings: Device<B, 3>,
-    ) -> Device<B, 3> {
+        embeddings: Tensor<B, 3>,
+    ) -> Tensor<B, 3> {
         let hidden = self.input.forward(parameters, embeddings);
         let hidden = self.levels.iter().fold(hidden, |hidden, level| {
             let hidden = level.stacked(parameters, hidden);
@@ -170,13 +170,13 @@ impl HalfNet {
         }
     }
 
-    /// The codes of `[batch, frames, columns]` motion, `[batch * codes]`.
+    /// Returns the codes of `[batch, frames, columns]` motion, `[batch * codes]`.
     pub fn encode<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         codebook: &super::Codebook<B>,
-        motion: Device<B, 3>,
-    ) -> Device<B, 1, Int> {
+        motion: Tensor<B, 3>,
+    ) -> Tensor<B, 1, Int> {
         let embeddings = self.encoder.forward(parameters, motion);
         let [batch, codes, channels] = embeddings.dims();
         codebook.nearest(embeddings.reshape([batch * codes, channels]))

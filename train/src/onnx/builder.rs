@@ -5,7 +5,7 @@ use half::f16;
 use prost::Message;
 
 use super::{GraphError, InputRanges, proto};
-use crate::Tensor;
+use crate::HostTensor;
 
 /// Operators and file format of a graph.
 #[derive(Clone, Copy, Debug)]
@@ -132,7 +132,7 @@ impl GraphBuilder {
     }
 
     /// A weight, stored as the model directory stores its weights.
-    pub(super) fn weight(&mut self, name: &str, tensor: &Tensor) -> Value {
+    pub(super) fn weight(&mut self, name: &str, tensor: &HostTensor) -> Value {
         match self.storage {
             WeightStorage::F32 => self.float(name, tensor),
             WeightStorage::F16 | WeightStorage::Int8 => {
@@ -146,22 +146,18 @@ impl GraphBuilder {
         }
     }
 
-    /// `input` times a matrix of weights `[inputs, outputs]`.
-    pub(super) fn product(&mut self, name: &str, matrix: &Tensor, input: &Value) -> Value {
-        match self.storage {
-            WeightStorage::F32 | WeightStorage::F16 => {
-                let matrix = self.weight(name, matrix);
-                self.apply("MatMul", &[input, &matrix], &[])
-            }
-            WeightStorage::Int8 => match self.ranges.of(name) {
-                Some(range) => self.statically_quantised_product(name, matrix, input, range),
-                None => self.dynamically_quantised_product(name, matrix, input),
-            },
-        }
+    /// Returns how weights are stored.
+    pub(super) fn storage(&self) -> WeightStorage {
+        self.storage
+    }
+
+    /// Returns the range of a matrix's input, where it is known.
+    pub(super) fn range(&self, matrix: &str) -> Option<[f32; 2]> {
+        self.ranges.of(matrix)
     }
 
     /// A constant that keeps full precision.
-    pub(super) fn float(&mut self, name: &str, tensor: &Tensor) -> Value {
+    pub(super) fn float(&mut self, name: &str, tensor: &HostTensor) -> Value {
         let raw = tensor.data().iter().flat_map(|v| v.to_le_bytes()).collect();
         self.initializer(name, tensor.shape(), proto::FLOAT, raw)
     }
@@ -247,7 +243,7 @@ impl GraphBuilder {
         Value(name.to_owned())
     }
 
-    fn half_bytes(&mut self, name: &str, tensor: &Tensor) -> Vec<u8> {
+    fn half_bytes(&mut self, name: &str, tensor: &HostTensor) -> Vec<u8> {
         let mut raw = Vec::with_capacity(2 * tensor.data().len());
         for &value in tensor.data() {
             let half = f16::from_f32(value);
@@ -322,16 +318,33 @@ mod tests {
     #[test]
     fn a_weight_beyond_half_precision_is_refused() {
         let mut graph = GraphBuilder::new("g", WeightStorage::F16);
-        graph.weight("w", &Tensor::from_fn(vec![2], |_| 70_000.0));
+        graph.weight("w", &HostTensor::from_fn(vec![2], |_| 70_000.0));
         let error = graph.finish().unwrap_err();
         assert!(error.to_string().contains("weight `w` holds 70000"));
+    }
+
+    #[test]
+    fn weights_of_half_precision_are_stored_without_loss() {
+        let mut graph = GraphBuilder::new("g", WeightStorage::F16);
+        let weights: Vec<f32> = (0..64)
+            .map(|i| f16::from_f32((i as f32).sin()).to_f32())
+            .collect();
+        graph.weight("w", &HostTensor::from_fn(vec![64], |i| weights[i]));
+        let model = proto::Model::decode(&*graph.finish().unwrap()).unwrap();
+        let stored = &model.graph.unwrap().initializer[0];
+        assert_eq!(stored.data_type, proto::FLOAT16);
+        let bytes = stored.raw_data.as_chunks::<2>().0.iter();
+        let found: Vec<f32> = bytes
+            .map(|&bytes| f16::from_le_bytes(bytes).to_f32())
+            .collect();
+        assert_eq!(found, weights);
     }
 
     #[test]
     fn a_written_model_decodes_to_what_was_built() {
         let mut graph = GraphBuilder::new("g", WeightStorage::F32);
         let x = graph.input("x", Element::Float, &[Dim::Named("n"), Dim::Fixed(2)]);
-        let w = graph.weight("w", &Tensor::from_fn(vec![2], |i| i as f32));
+        let w = graph.weight("w", &HostTensor::from_fn(vec![2], |i| i as f32));
         let y = graph.apply("Softmax", &[&x], &[("axis", Attribute::Int(0))]);
         let z = graph.apply("Add", &[&y, &w], &[]);
         graph.output("z", &z, Element::Float, &[Dim::Named("n"), Dim::Fixed(2)]);

@@ -11,7 +11,7 @@ use super::{
     },
 };
 use crate::{
-    Tensor,
+    HostTensor,
     weights::{Convolution, DecoderWeights, HALF_JOINTS, ResidualBlock, VqVaeWeights},
 };
 
@@ -98,7 +98,7 @@ fn column_order(root_columns: usize) -> Vec<i64> {
 }
 
 /// Codes to their embeddings, `[batch, embedding, codes]`.
-fn embed(graph: &mut GraphBuilder, name: &str, codebook: &Tensor, codes: &Value) -> Value {
+fn embed(graph: &mut GraphBuilder, name: &str, codebook: &HostTensor, codes: &Value) -> Value {
     let codebook = graph.weight(name, codebook);
     let rows = graph.apply(
         "Gather",

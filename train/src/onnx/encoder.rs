@@ -12,7 +12,7 @@ use super::{
     decoder::{HALVING, PLAIN, convolve, stack},
 };
 use crate::{
-    Tensor,
+    HostTensor,
     weights::{Convolution, EncoderWeights, HALF_JOINTS, HalfWeights, VqVaeWeights},
 };
 
@@ -21,10 +21,10 @@ const COORDINATES: usize = 3;
 
 /// Writes `encoder.onnx`.
 ///
-/// Input: `motion` float32 [batch, frames, 72], joints relative to the root; the root's own
-/// columns count as zero whatever they hold. Models of the dancer's frame take joints that are
-/// turned to face +z already, without the column of turns. Outputs: `upper`, `lower` int64 [batch, codes], the
-/// nearest entries of the codebooks, the first one on ties.
+/// Input: `motion` float32 [batch, frames, 72], joints relative to the root; the root's own columns
+/// count as zero whatever they hold. Models of the dancer's frame take joints that are turned to
+/// face +z already, without the column of turns. Outputs: `upper`, `lower` int64 [batch, codes],
+/// the nearest entries of the codebooks, the first one on ties.
 ///
 /// # Errors
 /// [`GraphError::HalfRange`].
@@ -81,7 +81,8 @@ fn encode_half(
     nearest(graph, name, &half.codebook, &hidden)
 }
 
-/// `still` leading input columns are zero by definition, so the first convolution goes without them.
+/// `still` leading input columns are zero by definition, so the first convolution goes without
+/// them.
 fn encode(
     graph: &mut GraphBuilder,
     name: &str,
@@ -125,13 +126,13 @@ fn without_inputs(convolution: &Convolution, count: usize) -> Convolution {
         .flat_map(|output| output.iter().skip(count * kernel).copied());
     let mut kept = kept.collect::<Vec<f32>>().into_iter();
     Convolution {
-        weight: Tensor::from_fn(vec![outputs, left, kernel], |_| kept.next().unwrap_or(0.0)),
+        weight: HostTensor::from_fn(vec![outputs, left, kernel], |_| kept.next().unwrap_or(0.0)),
         bias: convolution.bias.clone(),
     }
 }
 
 /// `argmin |x - e|^2` over the rows `e`; `|x|^2` is the same for all rows and left out.
-fn nearest(graph: &mut GraphBuilder, name: &str, codebook: &Tensor, hidden: &Value) -> Value {
+fn nearest(graph: &mut GraphBuilder, name: &str, codebook: &HostTensor, hidden: &Value) -> Value {
     let vectors = graph.apply(
         "Transpose",
         &[hidden],
@@ -167,8 +168,8 @@ mod tests {
     #[test]
     fn leading_inputs_are_cut_from_a_convolution() {
         let whole = Convolution {
-            weight: Tensor::from_fn(vec![2, 3, 2], |i| i as f32),
-            bias: Tensor::from_fn(vec![2], |_| 0.0),
+            weight: HostTensor::from_fn(vec![2, 3, 2], |i| i as f32),
+            bias: HostTensor::from_fn(vec![2], |_| 0.0),
         };
         let cut = without_inputs(&whole, 2);
         assert_eq!(cut.weight.shape(), [2, 1, 2]);

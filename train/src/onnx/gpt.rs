@@ -16,7 +16,7 @@ use super::{
     },
 };
 use crate::{
-    Tensor,
+    HostTensor,
     weights::{Block, GptWeights, LayerNorm, Linear},
 };
 
@@ -27,9 +27,10 @@ const LAYER_NORM_EPSILON: f32 = 1e-5;
 /// Inputs: `upper`, `lower`, `positions` int64 [batch, steps]; `music` float32 [batch, steps,
 /// columns]; `attention_bias` float32 [batch or 1, 1, 3 x steps, 3 x (past + steps)], added to the
 /// scaled scores; `past_key.i`, `past_value.i` float32 [batch, heads, past tokens, head size] for
-/// every block, those of the state network first. Products with 8-bit matrices know the range of what they multiply
-/// from `ranges`, or find it row by row. Outputs: `upper_logits`, `lower_logits` [batch,
-/// steps, vocabulary]; `present_key.i`, `present_value.i`, the past with the new tokens after it.
+/// every block, those of the state network first. Products with 8-bit matrices know the range of
+/// what they multiply from `ranges`, or find it row by row. Outputs: `upper_logits`, `lower_logits`
+/// [batch, steps, vocabulary]; `present_key.i`, `present_value.i`, the past with the new tokens
+/// after it.
 ///
 /// # Errors
 /// [`GraphError::HalfRange`].
@@ -90,8 +91,8 @@ impl GptGraph<'_> {
             .apply("Concat", &streams, &[("axis", Attribute::Int(1))])
     }
 
-    /// Never quantised: raw columns differ in scale by orders of magnitude, and one scale for all of them
-    /// would leave nothing of the small ones.
+    /// Never quantised: raw columns differ in scale by orders of magnitude, and one scale for all
+    /// of them would leave nothing of the small ones.
     fn music(&mut self, linear: &Linear, rows: &Value) -> Value {
         let matrix = self
             .graph
@@ -133,8 +134,12 @@ impl GptGraph<'_> {
         let name = format!("blocks.{layer}");
         // One product for all three: reading weights is what a single step spends its time on.
         let fused = Linear {
-            weight: Tensor::stacked(&[&block.query.weight, &block.key.weight, &block.value.weight]),
-            bias: Tensor::stacked(&[&block.query.bias, &block.key.bias, &block.value.bias]),
+            weight: HostTensor::stacked(&[
+                &block.query.weight,
+                &block.key.weight,
+                &block.value.weight,
+            ]),
+            bias: HostTensor::stacked(&[&block.query.bias, &block.key.bias, &block.value.bias]),
         };
         let fused = self.linear(&format!("{name}.query_key_value"), &fused, input);
         let [query, key, value] = self.graph.split::<3>(&fused, 2);
@@ -210,7 +215,7 @@ impl GptGraph<'_> {
             .apply("LayerNormalization", &[input, &weight, &bias], &attributes)
     }
 
-    fn gather(&mut self, name: &str, table: &Tensor, rows: &Value) -> Value {
+    fn gather(&mut self, name: &str, table: &HostTensor, rows: &Value) -> Value {
         let table = self.graph.weight(name, table);
         self.graph
             .apply("Gather", &[&table, rows], &[("axis", Attribute::Int(0))])

@@ -9,24 +9,21 @@ mod encoder;
 mod gpt;
 mod proto;
 mod quantise;
+mod ranges;
 mod receptive;
 
 pub use decoder::decoder_graph;
 pub use encoder::encoder_graph;
 pub use gpt::gpt_graph;
-pub use quantise::InputRanges;
+pub use ranges::InputRanges;
 pub use receptive::receptive_codes;
 
 /// Why a graph could not be written.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum GraphError {
     /// A weight is too large for half precision.
     #[error("weight `{weight}` holds {value}, beyond the range of float16: use --weights f32")]
-    HalfRange {
-        /// The weight's name in the graph.
-        weight: String,
-        /// The value.
-        value: f32,
-    },
+    HalfRange { weight: String, value: f32 },
 }

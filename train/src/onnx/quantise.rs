@@ -1,17 +1,17 @@
 //! Products with matrices of 8-bit integers.
 //!
-//! Weights have one scale a column. Activations have one that is known beforehand (static quantisation), where their
-//! range was measured; else one a row (a token) while the graph runs. Either way a token's
-//! scale never depends on what else is in the batch, so neither do its codes. One scale for the
+//! Weights have one scale a column. Activations have a fixed scale where their range was measured
+//! (static quantisation), else one a row (a token), computed while the graph runs. Either way a
+//! token's scale never depends on the rest of the batch, and so do its codes. One scale for the
 //! whole batch, as `quantize_dynamic` of ONNX Runtime's tools writes it, would break that.
 
-use std::collections::BTreeMap;
+use bailando::model::WeightStorage;
 
 use super::{
     builder::{Attribute, GraphBuilder, Value},
     proto,
 };
-use crate::Tensor;
+use crate::HostTensor;
 
 /// Largest magnitude of a quantised number: symmetric, so that -128 is left out.
 const LARGEST: f32 = 127.0;
@@ -23,36 +23,38 @@ const SMALLEST: f32 = 1e-30;
 /// Largest step of an unsigned byte.
 const STEPS: f32 = 255.0;
 
-/// The least and the largest number that matrices are multiplied with, by the name of the matrix in the graph.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct InputRanges(BTreeMap<String, [f32; 2]>);
-
-impl InputRanges {
-    /// Of the matrix `name`.
-    pub(super) fn of(&self, name: &str) -> Option<[f32; 2]> {
-        self.0.get(name).copied()
-    }
-}
-
-impl FromIterator<(String, [f32; 2])> for InputRanges {
-    fn from_iter<I: IntoIterator<Item = (String, [f32; 2])>>(ranges: I) -> Self {
-        Self(ranges.into_iter().collect())
-    }
-}
-
 impl GraphBuilder {
-    /// `input` times `matrix` `[inputs, outputs]`, both quantised; what lies outside `range` counts as its end.
+    /// `input` times a matrix of weights `[inputs, outputs]`.
+    pub(super) fn product(&mut self, name: &str, matrix: &HostTensor, input: &Value) -> Value {
+        match self.storage() {
+            WeightStorage::F32 | WeightStorage::F16 => {
+                let matrix = self.weight(name, matrix);
+                self.apply("MatMul", &[input, &matrix], &[])
+            }
+            WeightStorage::Int8 => match self.range(name) {
+                Some(range) => self.statically_quantised_product(name, matrix, input, range),
+                None => self.dynamically_quantised_product(name, matrix, input),
+            },
+        }
+    }
+
+    /// Multiplies `input` by `matrix` `[inputs, outputs]`, both quantised; values outside `range`
+    /// are clamped to it.
     ///
-    /// Written as the product of two dequantised tensors, which runtimes make one product of bytes of.
-    pub(super) fn statically_quantised_product(
+    /// Written as the product of two dequantised tensors, which runtimes turn into a product of
+    /// bytes.
+    fn statically_quantised_product(
         &mut self,
         name: &str,
-        matrix: &Tensor,
+        matrix: &HostTensor,
         input: &Value,
         range: [f32; 2],
     ) -> Value {
         let (step, zero) = step_and_zero(range);
-        let step = self.float(&format!("{name}.step"), &Tensor::from_fn(vec![], |_| step));
+        let step = self.float(
+            &format!("{name}.step"),
+            &HostTensor::from_fn(vec![], |_| step),
+        );
         let zero = self.initializer(&format!("{name}.zero"), &[], proto::UINT8, vec![zero]);
         let quantised = self.apply("QuantizeLinear", &[input, &step, &zero], &[]);
         let input = self.apply("DequantizeLinear", &[&quantised, &step, &zero], &[]);
@@ -70,18 +72,18 @@ impl GraphBuilder {
         self.apply("MatMul", &[&input, &matrix], &[])
     }
 
-    /// The same where nothing is known of the range: every row has its own.
-    pub(super) fn dynamically_quantised_product(
+    /// Multiplies where the range is unknown: every row has its own.
+    fn dynamically_quantised_product(
         &mut self,
         name: &str,
-        matrix: &Tensor,
+        matrix: &HostTensor,
         input: &Value,
     ) -> Value {
         let (weight, scales) = self.quantised_matrix(name, matrix);
         let scalar = |graph: &mut Self, part: &str, value: f32| {
             graph.float(
                 &format!("{name}.{part}"),
-                &Tensor::from_fn(vec![], |_| value),
+                &HostTensor::from_fn(vec![], |_| value),
             )
         };
         let smallest = scalar(self, "smallest", SMALLEST);
@@ -105,7 +107,7 @@ impl GraphBuilder {
     }
 
     /// The bytes of a matrix, and the scales of its columns.
-    fn quantised_matrix(&mut self, name: &str, matrix: &Tensor) -> (Value, Value) {
+    fn quantised_matrix(&mut self, name: &str, matrix: &HostTensor) -> (Value, Value) {
         let columns = Columns::of(matrix);
         let weight = self.initializer(
             &format!("{name}.int8"),
@@ -114,7 +116,7 @@ impl GraphBuilder {
             columns.bytes,
         );
         let outputs = columns.scales.len();
-        let scales = Tensor::from_fn(vec![outputs], |column| columns.scales[column]);
+        let scales = HostTensor::from_fn(vec![outputs], |column| columns.scales[column]);
         (weight, self.float(&format!("{name}.scales"), &scales))
     }
 
@@ -140,7 +142,7 @@ struct Columns {
 }
 
 impl Columns {
-    fn of(matrix: &Tensor) -> Self {
+    fn of(matrix: &HostTensor) -> Self {
         let width = matrix.dim(1).max(1);
         let rows = || matrix.data().chunks(width);
         let mut scales = vec![SMALLEST; width];
@@ -167,11 +169,14 @@ mod tests {
     use ort::{environment::Environment, session::Session};
 
     use super::*;
-    use crate::onnx::builder::{Dim, Element};
+    use crate::onnx::{
+        InputRanges,
+        builder::{Dim, Element},
+    };
 
     #[test]
     fn columns_are_off_by_half_a_step_at_most() {
-        let matrix = Tensor::from_fn(vec![5, 3], |flat| match flat % 3 {
+        let matrix = HostTensor::from_fn(vec![5, 3], |flat| match flat % 3 {
             0 => 0.0,
             1 => (flat as f32 * 0.7).sin(),
             _ => 40.0 * (flat as f32 * 1.3).cos(),
@@ -204,7 +209,7 @@ mod tests {
     }
 
     /// Runs a graph of one product with `matrix` on rows of numbers.
-    fn runner(matrix: &Tensor, ranges: &InputRanges) -> impl FnMut(&[f32]) -> Vec<f32> + use<> {
+    fn runner(matrix: &HostTensor, ranges: &InputRanges) -> impl FnMut(&[f32]) -> Vec<f32> + use<> {
         let inputs = matrix.dim(0);
         let mut graph = GraphBuilder::new("product", WeightStorage::Int8).with_ranges(ranges);
         let shape = |last| [Dim::Named("rows"), Dim::Fixed(last)];
@@ -228,7 +233,7 @@ mod tests {
         }
     }
 
-    /// The product of a row as defined, in double precision: bytes of `step` each, `least` to `largest`, 0 at none.
+    /// Computes the product of a row as defined, in double precision, from bytes of `step` each.
     fn by_definition(input: &[f32], columns: &Columns, step: f64, bytes: [f64; 2]) -> Vec<f64> {
         let width = columns.scales.len();
         let product = |column: usize| {
@@ -244,8 +249,8 @@ mod tests {
 
     const INPUTS: usize = 40;
 
-    fn matrix() -> Tensor {
-        Tensor::from_fn(vec![INPUTS, 3], |flat| (flat as f32 * 0.7).sin())
+    fn matrix() -> HostTensor {
+        HostTensor::from_fn(vec![INPUTS, 3], |flat| (flat as f32 * 0.7).sin())
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! How far a decoded code's frames see: the overlap at which chunks decode as the whole does.
+//! The receptive field of a decoded code: the overlap at which chunks decode like the whole.
 
 use crate::weights::{DecoderWeights, VqVaeWeights};
 
@@ -50,8 +50,8 @@ impl Interval {
         self.last = self.last.saturating_add(dilation);
     }
 
-    /// A transposed convolution of kernel 4, stride 2, padding 1: input `i` reaches the outputs
-    /// `2i - 1 ..= 2i + 2`, so output `o` needs the inputs `ceil((o - 2) / 2) ..= floor((o + 1) / 2)`.
+    /// A transposed convolution of kernel 4, stride 2, padding 1: input `i` reaches the outputs `2i
+    /// - 1 ..= 2i + 2`, so output `o` needs the inputs `ceil((o - 2) / 2) ..= floor((o + 1) / 2)`.
     fn through_doubling(&mut self) {
         self.first = self.first.saturating_sub(1).div_euclid(2);
         self.last = self.last.saturating_add(1).div_euclid(2);

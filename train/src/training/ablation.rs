@@ -1,69 +1,23 @@
-//! What can be left out of the model, to see what it is good for (paper Table 2).
+//! Networks with parts left out (paper Table 2).
 
-use serde::{Deserialize, Serialize};
-
-use super::{Config, Stage, TrainError};
+use super::{
+    config::{AblationConfig, Config},
+    error::TrainError,
+};
 use crate::{
     data::JOINTS,
     nn::{GptNet, Store},
     weights::{GptWeights, HALF_JOINTS},
 };
 
-/// Parts that are left out; `train/presets/paper.toml` explains every field.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-#[expect(missing_docs, reason = "the commented preset is the documentation")]
-pub struct AblationConfig {
-    pub whole_body: bool,
-    pub root_in_pose: bool,
-    pub separate_halves: bool,
-    pub continuous: bool,
-}
-
 impl AblationConfig {
-    fn flags(self) -> impl Iterator<Item = &'static str> {
-        let flags = [
-            ("whole_body", self.whole_body),
-            ("root_in_pose", self.root_in_pose),
-            ("separate_halves", self.separate_halves),
-            ("continuous", self.continuous),
-        ];
-        flags
-            .into_iter()
-            .filter_map(|(name, set)| set.then_some(name))
-    }
-
-    pub(super) fn check(self, rewards: bool) -> Result<(), String> {
-        if self.whole_body && self.separate_halves {
-            return Err("whole_body leaves no halves to separate".into());
-        }
-        if self.continuous && rewards {
-            return Err(
-                "continuous has no probabilities to reward: set actor_critic.enabled = false"
-                    .into(),
-            );
-        }
-        Ok(())
-    }
-
-    /// What the result of a stage depends on; nothing where nothing is left out, so that it can
-    /// stand before the settings of any checkpoint.
-    pub(super) fn settings(self, stage: Stage) -> String {
-        let attends = matches!(stage, Stage::Gpt | Stage::ActorCritic);
-        let flags = self
-            .flags()
-            .filter(|&flag| flag != "separate_halves" || attends);
-        flags.map(|flag| format!("ablation {flag} ")).collect()
-    }
-
-    /// Refuses what only whole models have: the graphs that are served know no other form.
+    /// Refuses a command that only whole models have: the served graphs know no other form.
     pub(super) fn refuse(self, what: &'static str) -> Result<(), TrainError> {
-        self.flags()
-            .next()
-            .map_or(Ok(()), |flag| Err(TrainError::LeftOut { what, flag }))
+        let refused = |flag| Err(TrainError::LeftOut { what, flag });
+        self.flag().map_or(Ok(()), refused)
     }
 
-    /// The motion GPT with its parts left out.
+    /// Plans the motion GPT without the parts that are left out.
     pub(super) fn network(self, weights: &GptWeights, store: &mut Store) -> GptNet {
         let mut net = GptNet::new(weights, store);
         if self.separate_halves {
@@ -77,17 +31,8 @@ impl AblationConfig {
 }
 
 impl Config {
-    /// Whether a run has this stage.
-    pub(super) fn has(&self, stage: Stage) -> bool {
-        match stage {
-            Stage::Velocity => !self.ablation.root_in_pose,
-            Stage::ActorCritic => self.actor_critic.enabled,
-            Stage::VqVae | Stage::Gpt => true,
-        }
-    }
-
-    /// Motion columns that each half of the VQ-VAE takes and gives; `None` is a column of zeros.
-    /// With `whole_body` both are all of the body.
+    /// Returns the motion columns that each half of the VQ-VAE takes and gives; `None` is a column
+    /// of zeros. With `whole_body` both halves are the whole body.
     pub(super) fn pose_columns(&self) -> [Vec<Option<usize>>; 2] {
         let AblationConfig {
             whole_body,
@@ -116,30 +61,12 @@ impl Config {
 
 #[cfg(test)]
 mod tests {
+    use bailando::motion::MotionFrame;
+
     use super::*;
-    use crate::training::{MotionFrame, keep::settings};
 
     fn config(flags: &str) -> Config {
         Config::parse(&format!("[ablation]\n{flags}")).unwrap()
-    }
-
-    #[test]
-    fn checkpoints_of_whole_models_keep_their_settings() {
-        let whole = settings(&config(""), Stage::VqVae).unwrap();
-        assert!(whole.starts_with("seed 1 frame World mirror false phases 1 "));
-        assert!(!whole.contains("ablation"), "{whole}");
-        for flag in ["whole_body", "root_in_pose", "continuous"] {
-            let text = format!("{flag} = true\n[actor_critic]\nenabled = false");
-            let without = settings(&config(&text), Stage::VqVae).unwrap();
-            assert_eq!(without, format!("ablation {flag} {whole}"));
-        }
-        // What it does not concern can be shared with the whole model.
-        let separate = config("separate_halves = true");
-        assert_eq!(settings(&separate, Stage::VqVae).unwrap(), whole);
-        for stage in [Stage::Gpt, Stage::ActorCritic] {
-            let flags = separate.ablation.settings(stage);
-            assert_eq!(flags, "ablation separate_halves ");
-        }
     }
 
     #[test]

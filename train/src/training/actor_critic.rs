@@ -1,46 +1,50 @@
-//! Stage `actor-critic` (paper section 3.3, Eq. 7-11; ARCHITECTURE section 6): the policy learns
-//! from rewards of what it generates itself, beside a critic that tells what was to be expected.
+//! Stage `actor-critic`: the policy learns from the rewards of what it generates, beside a critic
+//! (paper section 3.3, Eq. 7-11; ARCHITECTURE section 6). State network and VQ-VAE are frozen.
 
-use std::path::Path;
+use std::{io::Write, path::Path};
 
-use burn_tensor::Tensor as Device;
+use burn_tensor::Tensor;
 
 use super::{
-    Config, Stage, TrainError,
-    config::{ActorCriticConfig, RunConfig},
-    keep::settings,
-    lesson::Lesson,
+    checkpoint::Checkpoint,
+    config::{ActorCriticConfig, Config, RunConfig},
+    decode::MotionDecoder,
+    error::TrainError,
+    identity::Identity,
     policy::{Policy, first_critic},
     reward::RewardRule,
-    rollout::{Judge, Repertoire, Rollout},
-    runner::{Losses, Plan, Work},
+    rollout::{RewardFn, Rollout, RolloutPlan, reward_fn},
+    runner::{Limits, Outcome, run},
     sampling::Sampler,
-    saved::Saved,
     song::Song,
+    stage::Stage,
+    trainable::{Losses, StageSpec, TrainableStage},
+    trajectory_batch::TrajectoryBatch,
 };
 use crate::{
-    checkpoint::Checkpoint,
+    checkpoint::TorchCheckpoint,
     nn::{CriticNet, Parameters, Store, Trainable},
     weights::CriticWeights,
 };
 
-/// A stage that learns this way.
-pub(super) struct Task<'a> {
+/// What a stage that learns from rewards starts from.
+pub(super) struct RewardTask<'a> {
     pub(super) name: &'static str,
-    /// All that its result depends on.
-    pub(super) settings: String,
+    /// Everything that its result depends on.
+    pub(super) identity: Identity,
     pub(super) run: &'a RunConfig,
     pub(super) stage: &'a ActorCriticConfig,
-    /// What it starts from.
+    /// The policy that learns.
     pub(super) policy: Policy,
     /// An official checkpoint whose critic is the first.
     pub(super) init: Option<&'a Path>,
-    /// What is danced to.
+    /// The songs that it generates motion for.
     pub(super) songs: &'a [Song],
 }
 
-impl<'a> Task<'a> {
-    /// That of a run: the policy of its finished `gpt` on the songs of the training split.
+impl<'a> RewardTask<'a> {
+    /// Returns the task of a run: the policy of its finished `gpt` on the songs of the training
+    /// split.
     pub(super) fn of_run(
         config: &'a Config,
         songs: &'a [Song],
@@ -48,7 +52,7 @@ impl<'a> Task<'a> {
     ) -> Result<Self, TrainError> {
         Ok(Self {
             name: Stage::ActorCritic.name(),
-            settings: settings(config, Stage::ActorCritic)?,
+            identity: Identity::without_data(config, Stage::ActorCritic)?,
             run: &config.run,
             stage: &config.actor_critic,
             policy: Policy::of_stage(config, Stage::Gpt)?,
@@ -58,7 +62,7 @@ impl<'a> Task<'a> {
     }
 }
 
-pub(super) struct ActorCriticWork<'a, A: Trainable> {
+pub(super) struct ActorCriticStage<'a, A: Trainable> {
     stage: &'a ActorCriticConfig,
     batch: usize,
     base_layers: usize,
@@ -66,8 +70,8 @@ pub(super) struct ActorCriticWork<'a, A: Trainable> {
     /// The policy as the stage found it.
     reference: Parameters<A::InnerBackend>,
     critic: CriticNet,
-    repertoire: Repertoire,
-    judge: Judge,
+    rollout_plan: RolloutPlan,
+    rewards: RewardFn,
     steps_of_epoch: u64,
     rollout: Option<Rollout>,
     device: A::Device,
@@ -82,24 +86,21 @@ enum Turn {
 }
 
 impl ActorCriticConfig {
-    /// Whose turn a step is, and how many steps before it were of the same kind.
-    fn turn(&self, step: u64) -> (Turn, u64) {
+    /// Returns whose turn a step is.
+    fn turn(&self, step: u64) -> Turn {
         let Some(step) = step.checked_sub(self.critic_warmup_steps) else {
-            return (Turn::Critic, step);
+            return Turn::Critic;
         };
-        if self.critic_steps == 0 {
-            return (Turn::Both, step);
-        }
         let round = self.actor_steps + self.critic_steps;
-        let (rounds, place) = (step / round, step % round);
-        if place < self.actor_steps {
-            return (Turn::Actor, rounds * self.actor_steps + place);
+        match self.critic_steps {
+            0 => Turn::Both,
+            _ if step % round < self.actor_steps => Turn::Actor,
+            _ => Turn::Critic,
         }
-        let earlier = rounds * self.critic_steps + place - self.actor_steps;
-        (Turn::Critic, self.critic_warmup_steps + earlier)
     }
 
-    /// Of the first `free_steps` none: what pays is found before the policy is called back.
+    /// Returns the weight of the divergence; none in the first `free_steps`, so that the policy
+    /// finds rewarded motion before it is pulled back.
     fn divergence_weight_at(&self, step: u64) -> f64 {
         match step < self.free_steps {
             true => 0.0,
@@ -107,17 +108,7 @@ impl ActorCriticConfig {
         }
     }
 
-    /// What the result depends on: how much of it is kept is asked afterwards.
-    pub(super) fn settings(&self) -> String {
-        let settings = Self {
-            enabled: true,
-            kept: 1.0,
-            ..self.clone()
-        };
-        format!("{settings:?}")
-    }
-
-    /// What rewards are.
+    /// Returns the rule of the rewards.
     pub(super) fn rule(&self) -> RewardRule {
         RewardRule {
             beat: self.reward,
@@ -129,16 +120,16 @@ impl ActorCriticConfig {
     }
 }
 
-impl<'a, A: Trainable> ActorCriticWork<'a, A> {
+impl<'a, A: Trainable> ActorCriticStage<'a, A> {
     /// The critic starts from `init`, else from where the policy's own critic was left, else from
     /// random weights.
     pub(super) fn new(
         config: &'a Config,
-        task: Task<'a>,
-        judge: Judge,
+        task: RewardTask<'a>,
+        rewards: RewardFn,
         device: &A::Device,
-    ) -> Result<(Plan<'a>, Self), TrainError> {
-        let (stage, policy) = (task.stage, task.policy);
+    ) -> Result<(StageSpec<'a>, Self), TrainError> {
+        let (settings, policy) = (task.stage, task.policy);
         let mut store = policy.store.clone();
         let reference = Parameters::from_store(&store, device);
         let critic = match (task.init, &policy.critic) {
@@ -147,34 +138,35 @@ impl<'a, A: Trainable> ActorCriticWork<'a, A> {
             (None, None) => first_critic(config),
         };
         let critic = CriticNet::new(&critic, &mut store);
-        let repertoire = repertoire(config, stage, scaled(task.songs, &policy))?;
-        let batch = stage.training.batch;
-        let steps_of_epoch = repertoire.windows().div_ceil(batch);
-        let plan = Plan {
+        let rollout_plan = rollout_plan(config, settings, scaled(task.songs, &policy))?;
+        let batch = settings.training.batch;
+        let steps_of_epoch = rollout_plan.windows().div_ceil(batch);
+        let spec = StageSpec {
             name: task.name,
             run: task.run,
-            training: &stage.training,
-            settings: task.settings,
+            training: &settings.training,
+            identity: task.identity,
             store,
             windows: steps_of_epoch * batch,
         };
-        let work = Self {
-            stage,
+        let stage = Self {
+            stage: settings,
             batch,
             base_layers: config.gpt.base_layers,
             critic,
-            repertoire,
-            judge,
+            rollout_plan,
+            rewards,
             policy,
             reference,
             steps_of_epoch: steps_of_epoch as u64,
             rollout: None,
             device: device.clone(),
         };
-        Ok((plan, work))
+        Ok((spec, stage))
     }
 
-    /// The epoch's pieces: generated at its first step, kept (also in checkpoints) to its last.
+    /// Returns the epoch's pieces: generated at its first step, kept (also in checkpoints) to its
+    /// last.
     fn rollout(&mut self, frozen: &Parameters<A::InnerBackend>, epoch: u64) -> Rollout {
         match self.rollout.take() {
             Some(rollout) if rollout.epoch == epoch => rollout,
@@ -185,14 +177,34 @@ impl<'a, A: Trainable> ActorCriticWork<'a, A> {
                     temperature: self.stage.temperature,
                 };
                 let (starts, earlier) = (&self.policy.starts, earlier.as_ref());
-                self.repertoire
-                    .roll_out(epoch, &sampler, starts, earlier, self.batch, &self.judge)
+                self.rollout_plan.roll_out(
+                    epoch,
+                    &sampler,
+                    starts,
+                    earlier,
+                    self.batch,
+                    &self.rewards,
+                )
             }
         }
     }
 }
 
-impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
+/// Runs a stage that learns from rewards.
+pub(super) fn learn_from_rewards<A: Trainable>(
+    config: &Config,
+    task: RewardTask<'_>,
+    device: &A::Device,
+    limits: Limits,
+    output: &mut impl Write,
+) -> Result<Outcome, TrainError> {
+    let decoder = MotionDecoder::<A::InnerBackend>::read(config, device)?;
+    let rewards = reward_fn(decoder, task.stage.rule());
+    let (spec, mut stage) = ActorCriticStage::<A>::new(config, task, rewards, device)?;
+    run(&spec, &mut stage, device, limits, output)
+}
+
+impl<A: Trainable> TrainableStage<A> for ActorCriticStage<'_, A> {
     const COLUMNS: &'static [&'static str] = &[
         "loss",
         "actor",
@@ -211,26 +223,28 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
         let windows = rollout.batch(place, self.batch);
         let stage = self.stage;
         let lead = stage.reward_lead;
-        let lesson = Lesson::new(&self.repertoire, &rollout, &windows, lead, &self.device);
+        let batch =
+            TrajectoryBatch::new(&self.rollout_plan, &rollout, &windows, lead, &self.device);
         // The state network is frozen and runs without dropout: it never sees `parameters`.
         let states = self.policy.net.states(
             &frozen,
-            lesson.music.clone(),
-            lesson.states.clone(),
+            batch.music.clone(),
+            batch.states.clone(),
             self.base_layers,
             0.0,
         );
         let policy = &self.policy.net;
         let reference = policy.policy(&self.reference, states.clone(), self.base_layers, 0.0);
-        let states = Device::<A, 3>::from_inner(states);
+        let states = Tensor::<A, 3>::from_inner(states);
         let values = self.critic.forward(parameters, states.clone());
-        let surprise = lesson.surprise(values.clone(), stage.discount);
-        let mut advantage = lesson
-            .traced(surprise.clone(), stage.discount * stage.trace)
+        let td_error = batch.td_error(values.clone(), stage.discount);
+        let mut advantage = batch
+            .generalised_advantage(td_error.clone(), stage.discount * stage.trace)
             .detach();
-        // The published loss is the surprise's, through both values; a trace needs a fixed target.
-        let critic = lesson.mean(match stage.trace {
-            0.0 => surprise.square(),
+        // The published loss squares the TD error, with a derivative through both values; a trace
+        // needs a fixed target.
+        let critic = batch.mean(match stage.trace {
+            0.0 => td_error.square(),
             _ => {
                 let [_, moves] = advantage.dims();
                 let values = values.narrow(1, 0, moves);
@@ -239,13 +253,13 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
             }
         });
         if stage.standardise_advantage {
-            advantage = lesson.standardised(advantage);
+            advantage = batch.standardised(advantage);
         }
         let logits = policy.policy(parameters, states, self.base_layers, 0.0);
-        let divergence = lesson.mean(lesson.divergence(logits.clone(), reference));
-        let (cross_entropy, entropy) = lesson.policy(logits);
-        let actor = lesson.mean(cross_entropy * advantage);
-        let entropy = lesson.mean(entropy);
+        let divergence = batch.mean(batch.divergence(logits.clone(), reference));
+        let (cross_entropy, entropy) = batch.policy(logits);
+        let actor = batch.mean(cross_entropy * advantage);
+        let entropy = batch.mean(entropy);
         let actor = actor - entropy.clone().mul_scalar(stage.entropy_weight)
             + divergence
                 .clone()
@@ -259,14 +273,14 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
             entropy,
         ];
         let means = rollout.mean_rewards;
-        metrics.extend(means.map(|mean| Device::from_floats([mean], &self.device)));
+        metrics.extend(means.map(|mean| Tensor::from_floats([mean], &self.device)));
         metrics.push(divergence.inner());
         self.rollout = Some(rollout);
-        // What has no derivative does not move: in a turn of the one the other rests.
+        // Weights without a derivative rest: those of the critic in a turn of the actor, and back.
         let loss = match stage.turn(step) {
-            (Turn::Actor, _) => actor,
-            (Turn::Critic, _) => critic,
-            (Turn::Both, _) => actor + critic,
+            Turn::Actor => actor,
+            Turn::Critic => critic,
+            Turn::Both => actor + critic,
         };
         Losses { loss, metrics }
     }
@@ -283,31 +297,26 @@ impl<A: Trainable> Work<A> for ActorCriticWork<'_, A> {
         }
     }
 
-    fn earlier_updates(&self, step: u64) -> u64 {
-        let (_, earlier) = self.stage.turn(step);
-        earlier
-    }
-
-    fn save(&self, saved: &mut Saved) {
-        self.policy.save(saved);
+    fn save(&self, checkpoint: &mut Checkpoint) {
+        self.policy.save(checkpoint);
         if let Some(rollout) = &self.rollout {
-            rollout.save(saved);
+            rollout.save(checkpoint);
         }
     }
 
-    fn restore(&mut self, saved: &Saved) -> Result<(), String> {
-        self.rollout = self.repertoire.restore(saved)?;
+    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), String> {
+        self.rollout = self.rollout_plan.restore(checkpoint)?;
         Ok(())
     }
 }
 
-/// The songs that are long enough for a window, and what an epoch takes of them.
-fn repertoire(
+/// Plans what an epoch generates, for the songs that are long enough for a window.
+fn rollout_plan(
     config: &Config,
     stage: &ActorCriticConfig,
     songs: Vec<Song>,
-) -> Result<Repertoire, TrainError> {
-    let mut repertoire = Repertoire {
+) -> Result<RolloutPlan, TrainError> {
+    let mut rollout_plan = RolloutPlan {
         songs,
         pieces: stage.pieces_per_epoch,
         codes: match stage.codes {
@@ -319,17 +328,17 @@ fn repertoire(
         block: config.gpt.block,
         seed: config.run.seed,
     };
-    repertoire.keep_usable();
-    if repertoire.songs.is_empty() {
+    rollout_plan.keep_usable();
+    if rollout_plan.songs.is_empty() {
         return Err(TrainError::TooShort {
             length: config.gpt.block + 1,
             unit: "rows of music",
         });
     }
-    if repertoire.pieces == 0 {
-        repertoire.pieces = repertoire.songs.len();
+    if rollout_plan.pieces == 0 {
+        rollout_plan.pieces = rollout_plan.songs.len();
     }
-    Ok(repertoire)
+    Ok(rollout_plan)
 }
 
 fn scaled(songs: &[Song], policy: &Policy) -> Vec<Song> {
@@ -340,9 +349,10 @@ fn scaled(songs: &[Song], policy: &Policy) -> Vec<Song> {
     songs.collect()
 }
 
-/// The critic of an official checkpoint, which must be of the configured size.
+/// Reads the critic of an official checkpoint, which must be of the configured size.
 fn official_critic(config: &Config, path: &Path) -> Result<CriticWeights, TrainError> {
-    let critic = CriticWeights::from_checkpoint(&mut Checkpoint::open(path)?, config.gpt.heads)?;
+    let critic =
+        CriticWeights::from_checkpoint(&mut TorchCheckpoint::open(path)?, config.gpt.heads)?;
     let stored = |critic: &CriticWeights| {
         let mut store = Store::default();
         let _plan = CriticNet::new(critic, &mut store);
@@ -351,10 +361,8 @@ fn official_critic(config: &Config, path: &Path) -> Result<CriticWeights, TrainE
     if stored(&critic).fits(&stored(&first_critic(config))) {
         return Ok(critic);
     }
-    Err(TrainError::State {
-        path: path.to_owned(),
-        message: "has a critic of other sizes than [gpt] and [actor_critic] say".into(),
-    })
+    let message = "has a critic of other sizes than [gpt] and [actor_critic] say";
+    Err(TrainError::state(path)(message.into()))
 }
 
 #[cfg(test)]
@@ -368,7 +376,7 @@ mod tests {
     use super::*;
     use crate::{
         nn::GptNet,
-        training::{Limits, gpt::random, music_scale::MusicScale, runner::run},
+        training::{gpt::random, music_scale::MusicScale},
     };
 
     const COLUMNS: usize = 3;
@@ -381,18 +389,18 @@ mod tests {
             stage.actor_steps,
             stage.critic_steps,
         ) = (1, 2, 3);
-        let (mut actor, mut critic) = (0, 0);
         for (step, wanted) in "CAACCCAACCCAA".chars().enumerate() {
-            let (wanted, count) = match wanted {
-                'A' => (Turn::Actor, &mut actor),
-                _ => (Turn::Critic, &mut critic),
+            let wanted = match wanted {
+                'A' => Turn::Actor,
+                _ => Turn::Critic,
             };
-            assert_eq!(stage.turn(step as u64), (wanted, *count), "{step}");
-            *count += 1;
+            assert_eq!(stage.turn(step as u64), wanted, "{step}");
         }
         stage.critic_steps = 0;
-        assert_eq!(stage.turn(0), (Turn::Critic, 0));
-        assert_eq!(stage.turn(3), (Turn::Both, 2));
+        assert_eq!(
+            [0, 1, 3].map(|step| stage.turn(step)),
+            [Turn::Critic, Turn::Both, Turn::Both]
+        );
     }
 
     /// A policy that knows nothing, with small windows.
@@ -428,37 +436,59 @@ mod tests {
         (config, policy, [0.0, 1.0].map(song).into())
     }
 
-    /// Mean rewards of the first and the last epoch.
-    fn learned(judge: Judge) -> [f32; 2] {
-        let folder = tempfile::tempdir().unwrap();
-        let (config, policy, songs) = toy(folder.path());
-        let task = Task {
+    /// Trains the toy policy.
+    fn learned(
+        config: &Config,
+        policy: Policy,
+        songs: &[Song],
+        rewards: RewardFn,
+        limits: Limits,
+    ) -> Store {
+        let task = RewardTask {
             name: "actor-critic",
-            settings: "toy".into(),
+            identity: Identity::default(),
             run: &config.run,
             stage: &config.actor_critic,
             policy,
             init: None,
-            songs: &songs,
+            songs,
         };
-        let work = ActorCriticWork::<Autodiff<Flex>>::new(&config, task, judge, &FlexDevice);
-        let (plan, mut work) = work.unwrap();
-        run::<Autodiff<Flex>, _>(
-            &plan,
-            &mut work,
-            &FlexDevice,
-            Limits::default(),
-            &mut Vec::new(),
-        )
-        .unwrap();
-        let path = folder.path().join("actor-critic/metrics.csv");
-        let text = std::fs::read_to_string(path).unwrap();
-        let rewards = text
-            .lines()
-            .skip(1)
-            .map(|line| line.split(',').nth(6).unwrap());
-        let rewards: Vec<f32> = rewards.map(|reward| reward.parse().unwrap()).collect();
-        [rewards[0], rewards[rewards.len() - 1]]
+        let stage = ActorCriticStage::<Autodiff<Flex>>::new(config, task, rewards, &FlexDevice);
+        let (spec, mut stage) = stage.unwrap();
+        run(&spec, &mut stage, &FlexDevice, limits, &mut Vec::new()).unwrap();
+        spec.store
+    }
+
+    /// Rewards every fourth upper code.
+    fn fourths() -> RewardFn {
+        let quarter = |code: i32| if code % 4 == 0 { 1.0 } else { -1.0 };
+        Box::new(move |pieces, _| {
+            let rewards =
+                |[upper, _]: &[Vec<i32>; 2]| upper.iter().map(|&code| [quarter(code); 3]).collect();
+            pieces.iter().map(rewards).collect()
+        })
+    }
+
+    #[test]
+    fn actor_and_critic_count_their_own_steps() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut config, policy, songs) = toy(folder.path());
+        config.actor_critic.critic_steps = 0;
+        config.actor_critic.critic_warmup_steps = 2;
+        let limits = Limits {
+            steps: Some(5),
+            ..Limits::default()
+        };
+        let store = learned(&config, policy, &songs, fourths(), limits);
+        let path = folder.path().join("actor-critic/checkpoint.safetensors");
+        let checkpoint = Checkpoint::read(&path).unwrap().unwrap();
+        let updates = checkpoint.tensor("adam.updates").unwrap().data().iter();
+        for ((name, _), &updates) in store.entries().iter().zip(updates) {
+            match name.starts_with("critic") {
+                true => assert_eq!(updates, 5.0, "{name}: its warm-up counts"),
+                false => assert!([0.0, 3.0].contains(&updates), "{name}: {updates}"),
+            }
+        }
     }
 
     #[test]
@@ -477,13 +507,15 @@ mod tests {
 
     #[test]
     fn the_policy_gets_better_at_what_is_rewarded() {
-        let quarter = |code: i32| if code % 4 == 0 { 1.0 } else { -1.0 };
-        let upper: Judge = Box::new(move |pieces, _| {
-            let rewards =
-                |[upper, _]: &[Vec<i32>; 2]| upper.iter().map(|&code| [quarter(code); 3]).collect();
-            pieces.iter().map(rewards).collect()
-        });
-        let [first, last] = learned(upper);
+        let folder = tempfile::tempdir().unwrap();
+        let (config, policy, songs) = toy(folder.path());
+        learned(&config, policy, &songs, fourths(), Limits::default());
+        let path = folder.path().join("actor-critic/metrics.csv");
+        let text = std::fs::read_to_string(path).unwrap();
+        let lines = text.lines().skip(1);
+        let rewards = lines.map(|line| line.split(',').nth(6).unwrap().parse::<f32>().unwrap());
+        let rewards: Vec<f32> = rewards.collect();
+        let (first, last) = (rewards[0], rewards[rewards.len() - 1]);
         assert!(first < 0.0 && last > first + 0.5, "{first} {last}");
     }
 }

@@ -1,51 +1,58 @@
 //! Adam, with the length of the gradient limited over all tensors together.
 
-use burn_tensor::{Tensor as Device, backend::Backend};
+use burn_tensor::{Tensor, backend::Backend};
 
 use crate::nn::{Descent, Kernels};
 
 const EPSILON: f64 = 1e-8;
 
-/// Moments of every tensor, and what a step does with them.
+/// Moments of every tensor, and how many steps have moved it.
 #[derive(Clone, Debug)]
 pub(super) struct Adam<B: Backend> {
-    pub(super) first: Vec<Device<B, 1>>,
-    pub(super) second: Vec<Device<B, 1>>,
+    pub(super) first: Vec<Tensor<B, 1>>,
+    pub(super) second: Vec<Tensor<B, 1>>,
+    /// Steps of each tensor so far: a tensor without a gradient rests, and its moments with it.
+    pub(super) updates: Vec<u32>,
     betas: [f64; 2],
 }
 
 impl<B: Kernels> Adam<B> {
-    pub(super) fn new(tensors: &[Device<B, 1>], betas: [f64; 2]) -> Self {
-        let zeros: Vec<_> = tensors.iter().map(Device::zeros_like).collect();
+    pub(super) fn new(tensors: &[Tensor<B, 1>], betas: [f64; 2]) -> Self {
+        let zeros: Vec<_> = tensors.iter().map(Tensor::zeros_like).collect();
         Self {
+            updates: vec![0; zeros.len()],
             first: zeros.clone(),
             second: zeros,
             betas,
         }
     }
 
-    /// One step, the `step`-th counted from 0, at each tensor's rate. A tensor without a gradient stays as it is.
+    /// Takes one step at each tensor's rate. A tensor without a gradient stays as it is.
     pub(super) fn step(
         &mut self,
-        tensors: &mut [Device<B, 1>],
-        gradients: Vec<Option<Device<B, 1>>>,
+        tensors: &mut [Tensor<B, 1>],
+        gradients: Vec<Option<Tensor<B, 1>>>,
         rates: &[f64],
-        step: u64,
     ) {
-        let count = i32::try_from(step + 1).unwrap_or(i32::MAX);
-        let moments = self.first.iter_mut().zip(&mut self.second);
-        let corrections = self.betas.map(|beta| 1.0 - beta.powi(count));
+        let moments = self
+            .first
+            .iter_mut()
+            .zip(&mut self.second)
+            .zip(&mut self.updates);
         let tensors = tensors.iter_mut().zip(rates).zip(gradients);
-        for (((tensor, &rate), gradient), (first, second)) in tensors.zip(moments) {
+        for (((tensor, &rate), gradient), ((first, second), updates)) in tensors.zip(moments) {
             let Some(gradient) = gradient else { continue };
+            *updates = updates.saturating_add(1);
             let step = Descent {
                 betas: self.betas,
-                corrections,
+                corrections: self
+                    .betas
+                    .map(|beta| 1.0 - beta.powi(i32::try_from(*updates).unwrap_or(i32::MAX))),
                 rate,
                 epsilon: EPSILON,
             };
-            let empty = || Device::empty([0], &gradient.device());
-            // Taken out, so that they may be changed in their place.
+            let empty = || Tensor::empty([0], &gradient.device());
+            // Taken out, so that the kernel may change them in place.
             let taken = [&mut *tensor, &mut *first, &mut *second]
                 .map(|slot| std::mem::replace(slot, empty()));
             let [value, one, two] = taken;
@@ -57,7 +64,7 @@ impl<B: Kernels> Adam<B> {
 
 /// Scales all gradients by one factor so that together they are at most `longest` long; 0 leaves
 /// them alone.
-pub(super) fn clip<B: Backend>(gradients: &mut [Option<Device<B, 1>>], longest: f64) {
+pub(super) fn clip<B: Backend>(gradients: &mut [Option<Tensor<B, 1>>], longest: f64) {
     if longest <= 0.0 {
         return;
     }
@@ -84,11 +91,11 @@ mod tests {
 
     use super::*;
 
-    fn tensor(values: [f32; 2]) -> Device<Flex, 1> {
-        Device::from_floats(values, &Default::default())
+    fn tensor(values: [f32; 2]) -> Tensor<Flex, 1> {
+        Tensor::from_floats(values, &Default::default())
     }
 
-    fn values(tensor: &Device<Flex, 1>) -> Vec<f32> {
+    fn values(tensor: &Tensor<Flex, 1>) -> Vec<f32> {
         tensor.to_data().iter::<f32>().collect()
     }
 
@@ -99,7 +106,7 @@ mod tests {
         let (mut weight, mut first, mut second) = (1.0_f64, 0.0_f64, 0.0_f64);
         for (step, gradient) in [0.5, -0.1, 3.0].into_iter().enumerate() {
             let gradients = vec![Some(tensor([gradient as f32, 0.0]))];
-            adam.step(&mut tensors, gradients, &[0.01], step as u64);
+            adam.step(&mut tensors, gradients, &[0.01]);
             first = 0.9 * first + 0.1 * gradient;
             second = 0.99 * second + 0.01 * gradient * gradient;
             let count = step as i32 + 1;
@@ -115,6 +122,22 @@ mod tests {
             "{found:?} {weight}"
         );
         assert_eq!(found[1], -2.0);
+    }
+
+    #[test]
+    fn every_tensor_counts_its_own_steps() {
+        let mut tensors = [tensor([1.0, 1.0]), tensor([1.0, 1.0])];
+        let mut adam = Adam::new(&tensors, [0.9, 0.99]);
+        let gradient = || Some(tensor([0.5, -0.5]));
+        adam.step(&mut tensors, vec![None, gradient()], &[0.01; 2]);
+        adam.step(&mut tensors, vec![gradient(), gradient()], &[0.01; 2]);
+        assert_eq!(adam.updates, [1, 2]);
+        // Of constant gradients every step is one rate long, if it is corrected for its own count.
+        let moved = tensors.map(|tensor| 1.0 - values(&tensor)[0]);
+        assert!(
+            (moved[0] - 0.01).abs() < 1e-6 && (moved[1] - 0.02).abs() < 1e-6,
+            "{moved:?}"
+        );
     }
 
     #[test]

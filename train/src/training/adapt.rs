@@ -1,5 +1,5 @@
-//! Stage `adapt`, "choreograph in the wild" (paper section 3.3): the policy learns on from the
-//! rewards of one song, for which there is no dance.
+//! Stage `adapt`, "choreograph in the wild" (paper section 3.3): the policy learns further from the
+//! rewards of one song, for which no motion is needed.
 
 use std::{
     fs::File,
@@ -10,13 +10,17 @@ use std::{
 use bailando::model::{Manifest, file_sha256};
 
 use super::{
-    Config, Limits, Outcome, Song, TrainError,
-    actor_critic::Task,
-    config::{ActorCriticConfig, RunConfig},
-    device::learn_from_rewards,
+    actor_critic::{RewardTask, learn_from_rewards},
+    config::{ActorCriticConfig, Config, RunConfig},
+    device::on_device,
+    error::TrainError,
     export,
-    keep::fingerprint,
+    identity::{Identity, concerns},
+    kept::fingerprint,
     policy::Policy,
+    runner::{Limits, Outcome},
+    song::Song,
+    stage::Stage,
 };
 
 const STAGE: &str = "adapt";
@@ -25,17 +29,16 @@ const DIGITS: usize = 16;
 
 /// A song to adapt to, and where the stage's files are.
 pub struct Adaptation {
-    /// What is danced to.
+    /// The song's features and beats.
     pub song: Song,
-    /// `run.folder/adapted/<hash of the audio file>`: the same file goes on where it was left,
-    /// whatever its name.
+    /// `run.folder/adapted/<hash of the audio file>`: the same file resumes, under any name.
     pub folder: PathBuf,
     /// Name of the audio file.
     pub name: String,
 }
 
 impl Adaptation {
-    /// Of the audio file `path`, whose features are `song`.
+    /// Adapts to the audio file `path`, whose features are `song`.
     ///
     /// # Errors
     /// [`TrainError::File`] if it cannot be read.
@@ -43,11 +46,11 @@ impl Adaptation {
         let hash = File::open(path).and_then(|mut file| file_sha256(&mut file));
         let hash = hash.map_err(TrainError::file(path))?;
         let digits: String = hash.chars().take(DIGITS).collect();
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let name = path.file_name().map(|name| name.to_string_lossy());
         Ok(Self {
             song,
             folder: config.run.folder.join("adapted").join(digits),
-            name: name.into_owned(),
+            name: name.map_or_else(String::new, Into::into),
         })
     }
 
@@ -59,8 +62,8 @@ impl Adaptation {
     }
 }
 
-/// Adapts the run's latest policy to a song. `init` is an official checkpoint whose critic is the
-/// first.
+/// Adapts the run's latest policy to a song. `init` is an official checkpoint that gives the critic
+/// to start from.
 ///
 /// # Errors
 /// Any [`TrainError`]; the last checkpoint stays.
@@ -79,22 +82,26 @@ pub fn adapt(
         training: config.adapt.training.clone(),
         ..config.actor_critic.clone()
     };
-    let base = fingerprint(config, Policy::latest_stage(config)?)?;
-    let kept = config.actor_critic.kept;
-    let task = Task {
+    let base = Policy::latest_stage(config)?;
+    let own = Config {
+        actor_critic: stage.clone(),
+        ..config.clone()
+    };
+    let identity = Identity::of_settings(&own, |name| concerns(Stage::ActorCritic, name))
+        .on(base, fingerprint(config, base)?)
+        .with("actor_critic.kept", config.actor_critic.kept);
+    let task = RewardTask {
         name: STAGE,
-        settings: format!(
-            "seed {} {} on {kept} of {base}",
-            config.run.seed,
-            stage.settings()
-        ),
+        identity,
         run: &run,
         stage: &stage,
         policy: Policy::latest(config)?,
         init,
         songs: std::slice::from_ref(&adaptation.song),
     };
-    learn_from_rewards(config, task, limits, output)
+    on_device!(config.run.device.as_str(), |A, device| {
+        learn_from_rewards::<A>(config, task, &device, limits, output)
+    })
 }
 
 /// Writes the model directory of a finished adaptation.
@@ -107,7 +114,12 @@ pub fn export_adapted(
     folder: &Path,
     replace: bool,
 ) -> Result<Manifest, TrainError> {
-    let policy = Policy::of_folder(config, &adaptation.run(config), STAGE)?;
+    let policy = Policy::of_folder(
+        config,
+        &adaptation.run(config),
+        STAGE,
+        &config.adapt.training,
+    )?;
     let facts = [("adapted_to", adaptation.name.clone().into())];
     export::write(config, folder, policy, replace, facts)
 }

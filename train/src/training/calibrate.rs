@@ -1,31 +1,32 @@
-//! What the exported network's 8-bit matrices are multiplied with (static quantisation).
+//! Input ranges of the exported network's 8-bit matrices (static quantisation).
 
 use bailando::model::WeightStorage;
 use burn_flex::{Flex, FlexDevice};
 use ndarray::Array2;
 
 use super::{
-    Config,
+    config::Config,
     policy::Policy,
-    sampling::{Sampler, Wish, unit},
+    sampling::{Sampler, SamplingRequest, unit},
     windows::generator,
 };
 use crate::{nn::Parameters, onnx::InputRanges};
 
-/// Pieces that are danced, and their generators' seed.
+/// Pieces that are generated, and their generators' seed.
 const PIECES: u64 = 64;
 const SEED: u64 = 0x6361_6c69;
 
-/// Ranges of what every matrix is multiplied with while the policy dances by itself, a window a piece.
+/// Measures the ranges of every matrix's inputs while the policy generates, a window a piece.
 ///
-/// It dances to noise with mean and spread of the training's music, so that no data are needed: dances to
-/// training songs give nearly the same (docs/experiments.md, run 8). Without standardised music the noise would be none that it
-/// knows: there is nothing then, nor where weights stay numbers of more than 8 bits.
+/// The music is noise with mean and spread of the training's music, so that no data are needed;
+/// training songs give nearly the same (docs/experiments.md, run 8). Without standardised music the
+/// noise would be unlike anything in training, so there are no ranges, nor are there any where the
+/// weights have more than 8 bits.
 pub(super) fn input_ranges(config: &Config, policy: &Policy) -> InputRanges {
     if config.export.weights != WeightStorage::Int8 || !policy.scale.is_standardised() {
         return InputRanges::default();
     }
-    let parameters = Parameters::<Flex>::from_store(&policy.store, &FlexDevice).watched();
+    let parameters = Parameters::<Flex>::from_store(&policy.store, &FlexDevice).observed();
     let sampler = Sampler {
         net: &policy.net,
         parameters: &parameters,
@@ -35,18 +36,17 @@ pub(super) fn input_ranges(config: &Config, policy: &Policy) -> InputRanges {
     let music: Vec<_> = (0..PIECES)
         .map(|piece| noise(policy, rows, piece))
         .collect();
-    let wishes = music
-        .iter()
-        .zip(PIECES..)
-        .map(|(music, number)| Wish::new(music.view(), &policy.starts, generator(SEED, number)));
-    sampler.generate(wishes.collect());
+    let requests = music.iter().zip(PIECES..).map(|(music, number)| {
+        SamplingRequest::new(music.view(), &policy.starts, generator(SEED, number))
+    });
+    sampler.generate(requests.collect());
     let ranges = parameters.input_ranges(&policy.store).into_iter();
     ranges
         .map(|(name, range)| (in_graph(&name), range))
         .collect()
 }
 
-/// Scaled music without a pattern, `[rows, columns]`: columns that are heard have unit variance.
+/// Returns scaled music without a pattern, `[rows, columns]`; columns in use have unit variance.
 fn noise(policy: &Policy, rows: usize, piece: u64) -> Array2<f32> {
     let mut random = generator(SEED, piece);
     let raw = Array2::from_shape_fn((rows, policy.scale.mean.len()), |(_, column)| {
@@ -56,7 +56,7 @@ fn noise(policy: &Policy, rows: usize, piece: u64) -> Array2<f32> {
     policy.scaled(&raw)
 }
 
-/// Queries, keys and values are one matrix there; all three are multiplied with the same.
+/// Returns the name in the exported graph, where queries, keys and values are one matrix.
 fn in_graph(name: &str) -> String {
     name.replace(".query.", ".query_key_value.")
 }
@@ -92,7 +92,7 @@ mod tests {
         }
     }
 
-    /// Whether a product of the exported graph has to look for its range.
+    /// Whether a product of the exported graph has to find its range itself.
     fn looks(policy: &Policy, ranges: &InputRanges) -> bool {
         let graph = gpt_graph(&policy.weights(), WeightStorage::Int8, ranges).unwrap();
         graph.windows(9).any(|part| part == b"ReduceMax")

@@ -112,7 +112,7 @@ fn range(values: impl Iterator<Item = f64> + Clone) -> Range<f64> {
     low - margin..high + margin
 }
 
-/// Digits behind the point that tell a tenth of `span` apart.
+/// Returns the decimals that resolve a tenth of `span`.
 fn decimals(span: f64) -> usize {
     (1.0 - span.log10().floor()).clamp(0.0, 8.0) as usize
 }

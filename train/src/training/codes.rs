@@ -1,71 +1,71 @@
-//! Pose codes of whole dances, for the stages that learn from codes.
+//! Pose codes of whole motions, for the stages that learn from codes.
 
 use std::io::Write;
 
 use rayon::prelude::*;
 
-use super::{
-    FRAMES_PER_CODE,
-    input::MotionPiece,
-    vqvae::{Trained, half_crops},
-};
+use super::{crops::motion_columns, frozen::FrozenVqVae, input::MotionPiece};
 use crate::{
-    data::Draw,
+    data::{Draw, FRAMES_PER_CODE},
     nn::{Kernels, values},
 };
 
-/// Dances between two lines of progress.
+/// Motions between two lines of progress.
 const DANCES_A_LINE: usize = 16;
 /// Frames that are encoded at once, to bound the memory.
 const FRAMES_AT_ONCE: usize = 16_384;
 
-/// Upper and lower codes of a dance encoded whole.
+/// Upper and lower codes of a whole motion.
 pub(super) type Pair = [Vec<i32>; 2];
 
-/// Codes of each dance at each start phase, and of its mirror image where that is wanted.
+/// Codes of each motion at each start phase, and of its mirror image where that is wanted.
 pub(super) struct Codes {
-    dances: Vec<Variants>,
+    motions: Vec<Variants>,
 }
 
 struct Variants {
     phases: usize,
     /// All phases as they are, then all phases in the mirror.
     codes: Vec<Pair>,
-    /// What the encoders gave for the same, one code's values after the other's; only where
-    /// wanted.
+    /// The encoders' outputs for the same, one code's values after the other's; only where wanted.
     vectors: Vec<[Vec<f32>; 2]>,
 }
 
-/// Which variants there are.
+/// The variants that are encoded.
 #[derive(Clone, Copy)]
 pub(super) struct Augmentation {
     pub(super) mirror: bool,
     pub(super) phases: usize,
-    /// Whether what the encoders gave is kept beside the codes.
+    /// Whether the encoders' outputs are kept beside the codes.
     pub(super) vectors: bool,
 }
 
 impl Codes {
-    /// Encodes all dances, several at a time, and reports progress.
+    /// Encodes all motions, several at a time, and reports progress.
     pub(super) fn encode<B: Kernels>(
-        frozen: &Trained<B>,
+        frozen: &FrozenVqVae<B>,
         pieces: &[MotionPiece],
         wanted: Augmentation,
         device: &B::Device,
         output: &mut impl Write,
     ) -> Self {
-        let mut dances = Vec::with_capacity(pieces.len());
+        let mut motions = Vec::with_capacity(pieces.len());
         for some in pieces.chunks(DANCES_A_LINE) {
             let encoded = some.par_iter();
             let encoded = encoded.map(|piece| variants(frozen, piece, wanted, device));
-            dances.par_extend(encoded);
+            motions.par_extend(encoded);
             // Progress that cannot be shown is no reason to stop.
-            let _ = writeln!(output, "codes of {}/{} dances", dances.len(), pieces.len());
+            let _ = writeln!(
+                output,
+                "codes of {}/{} motions",
+                motions.len(),
+                pieces.len()
+            );
         }
-        Self { dances }
+        Self { motions }
     }
 
-    /// Of one dance, its start phases given.
+    /// Takes the codes of one motion at its start phases.
     #[cfg(test)]
     pub(super) fn of_one(phases: Vec<Pair>) -> Self {
         let dance = Variants {
@@ -74,18 +74,18 @@ impl Codes {
             vectors: Vec::new(),
         };
         Self {
-            dances: vec![dance],
+            motions: vec![dance],
         }
     }
 
-    /// The codes that a window is cut from.
+    /// Returns the codes that a window is cut from.
     pub(super) fn of(&self, window: &Draw) -> &Pair {
-        let dance = &self.dances[window.dance];
+        let dance = &self.motions[window.dance];
         &dance.codes[usize::from(window.mirrored) * dance.phases + window.phase]
     }
 
-    /// The codes of the window's dance and side from `frame` of the stored dance on; `None` beyond its end. All
-    /// start phases must have been encoded.
+    /// Returns the codes of the window's motion and side from `frame` of the stored motion on;
+    /// `None` beyond its end. All start phases must be encoded.
     pub(super) fn beginning_at(&self, window: &Draw, frame: usize) -> Option<[&[i32]; 2]> {
         let phase = frame % FRAMES_PER_CODE;
         let [upper, lower] = self.of(&Draw { phase, ..*window });
@@ -93,17 +93,17 @@ impl Codes {
         Some([upper.get(first..)?, lower.get(first..)?])
     }
 
-    /// The vectors behind these codes.
+    /// Returns the vectors of these codes.
     pub(super) fn vectors_of(&self, window: &Draw) -> &[Vec<f32>; 2] {
-        let dance = &self.dances[window.dance];
+        let dance = &self.motions[window.dance];
         &dance.vectors[usize::from(window.mirrored) * dance.phases + window.phase]
     }
 
-    /// The codes that every dance and mirror image begin with, `firsts` being the first frame of each dance that
-    /// is learned.
+    /// Returns the codes that every motion and mirror image begins with; `firsts` has the first
+    /// frame of each motion that is learned.
     pub(super) fn starts(&self, firsts: &[usize]) -> impl Iterator<Item = [i32; 2]> {
-        let dances = self.dances.iter().zip(firsts);
-        let whole = dances.flat_map(|(dance, first)| {
+        let motions = self.motions.iter().zip(firsts);
+        let whole = motions.flat_map(|(dance, first)| {
             let code = first.div_ceil(FRAMES_PER_CODE);
             let whole = dance.codes.iter().step_by(dance.phases);
             whole.map(move |pair| pair.each_ref().map(|half| half.get(code).copied()))
@@ -113,7 +113,7 @@ impl Codes {
 }
 
 fn variants<B: Kernels>(
-    frozen: &Trained<B>,
+    frozen: &FrozenVqVae<B>,
     piece: &MotionPiece,
     wanted: Augmentation,
     device: &B::Device,
@@ -126,11 +126,9 @@ fn variants<B: Kernels>(
     };
     let all = sides.iter().flat_map(|&mirrored| {
         (0..phases).map(move |phase| Draw {
-            dance: 0,
-            song: 0,
             phase,
-            start: 0,
             mirrored,
+            ..Draw::default()
         })
     });
     let all: Vec<Draw> = all.collect();
@@ -148,7 +146,7 @@ fn variants<B: Kernels>(
             for half in [0, 1] {
                 let columns = &frozen.halves.columns[half];
                 let piece = std::slice::from_ref(piece);
-                let motion = half_crops(piece, &draws, frames, columns, device);
+                let motion = motion_columns(piece, &draws, frames, columns, device);
                 let (net, table) = (&frozen.halves.nets[half], &frozen.codebooks[half]);
                 let found = net.encoder.forward(&frozen.parameters, motion);
                 let [batch, codes_found, channels] = found.dims();

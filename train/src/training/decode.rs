@@ -1,12 +1,17 @@
-//! Codes to dances, as the server decodes them but on the training device.
+//! Decoding of codes to motion, as the server does it, on the training device.
 
 use bailando::motion::{Positions, integrate_root, to_world_frame};
-use burn_tensor::{Int, Tensor as Device, TensorData};
+use burn_tensor::Tensor;
 use ndarray::{Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 
-use super::{Config, FRAMES_PER_CODE, Stage, TrainError, velocity::Decoders, vqvae::Trained};
-use crate::nn::{Kernels, Parameters, values};
+use super::{
+    config::Config, error::TrainError, frozen::FrozenVqVae, stage::Stage, velocity::Decoders,
+};
+use crate::{
+    data::FRAMES_PER_CODE,
+    nn::{self, Kernels, Parameters, numbers, values},
+};
 
 /// Columns of positions.
 const COLUMNS: usize = 72;
@@ -14,17 +19,17 @@ const COLUMNS: usize = 72;
 const SIDE_BY_SIDE: usize = 256;
 
 /// The decoders of a finished VQ-VAE and its root branch.
-pub(super) struct DanceDecoder<B: Kernels> {
-    trained: Trained<B>,
+pub(super) struct MotionDecoder<B: Kernels> {
+    frozen: FrozenVqVae<B>,
     /// Those of stage `velocity`; none where the lower half gives the root's columns.
-    later: Option<(Decoders, Parameters<B>)>,
+    velocity: Option<(Decoders, Parameters<B>)>,
     root_columns: &'static [usize],
     device: B::Device,
 }
 
-impl<B: Kernels> DanceDecoder<B> {
+impl<B: Kernels> MotionDecoder<B> {
     pub(super) fn read(config: &Config, device: &B::Device) -> Result<Self, TrainError> {
-        let later = if config.has(Stage::Velocity) {
+        let velocity = if Stage::Velocity.is_part_of(config) {
             let decoders = Decoders::trained(config)?;
             let parameters = Parameters::from_store(&decoders.store, device);
             Some((decoders, parameters))
@@ -32,29 +37,28 @@ impl<B: Kernels> DanceDecoder<B> {
             None
         };
         Ok(Self {
-            trained: Trained::read(config, device)?,
-            later,
+            frozen: FrozenVqVae::read(config, device)?,
+            velocity,
             root_columns: config.data.root_columns(),
             device: device.clone(),
         })
     }
 
-    /// Numbers of upper and lower codes.
+    /// Returns the numbers of upper and lower codes.
     pub(super) fn codes(&self) -> [usize; 2] {
-        self.trained.codebooks.each_ref().map(|codebook| {
+        self.frozen.codebooks.each_ref().map(|codebook| {
             let [codes, _] = codebook.entries().dims();
             codes
         })
     }
 
-    /// World positions of a whole piece from its upper and lower codes, 8 frames a code; none where
-    /// a decoder gives what is no number.
+    /// Decodes a whole piece to world positions, 8 frames a code; `None` where a decoder gives NaN.
     pub(super) fn positions(&self, codes: &[Vec<i32>; 2]) -> Option<Positions> {
         self.positions_of_equals(std::slice::from_ref(codes))
             .pop()?
     }
 
-    /// The same of many pieces, side by side where neighbours are of one length.
+    /// Decodes many pieces, side by side where neighbours are of one length.
     pub(super) fn positions_of_many(&self, pieces: &[[Vec<i32>; 2]]) -> Vec<Option<Positions>> {
         let equals = pieces.chunk_by(|[one, _], [other, _]| one.len() == other.len());
         let some = equals.flat_map(|equals| equals.chunks(SIDE_BY_SIDE));
@@ -66,41 +70,41 @@ impl<B: Kernels> DanceDecoder<B> {
         self.decoded([0, 1].map(|half| self.entries(pieces, half)))
     }
 
-    /// The same from vectors in place of codebook entries, one code's values after the other's.
+    /// Decodes vectors in place of codebook entries, one code's values after the other's.
     pub(super) fn positions_of_vectors(&self, vectors: [Vec<f32>; 2]) -> Option<Positions> {
-        let [_, channels] = self.trained.codebooks[0].entries().dims();
+        let [_, channels] = self.frozen.codebooks[0].entries().dims();
         let embedded = vectors.map(|vectors| {
             let shape = [1, vectors.len() / channels, channels];
-            Device::from_data(TensorData::new(vectors, shape), &self.device)
+            numbers(vectors, shape, &self.device)
         });
         self.decoded(embedded).pop()?
     }
 
-    /// The codebook entries of upper and lower code.
+    /// Returns the codebook entries of an upper and a lower code.
     pub(super) fn pair(&self, codes: [i32; 2]) -> [Vec<f32>; 2] {
         let codes = [codes.map(|code| vec![code])];
         [0, 1].map(|half| values(&self.entries(&codes, half)))
     }
 
-    /// Positions of each piece of a batch.
-    fn decoded(&self, embedded: [Device<B, 3>; 2]) -> Vec<Option<Positions>> {
-        // A fourth column is the dancer's turning: the motion is in the dancer's frame.
+    /// Decodes each piece of a batch to positions.
+    fn decoded(&self, embedded: [Tensor<B, 3>; 2]) -> Vec<Option<Positions>> {
+        // A fourth column is the dancer's turn: the motion is in the dancer's frame.
         let turning = self.root_columns.len() - 3;
         let [pieces, codes, _] = embedded[0].dims();
         let frames = codes * FRAMES_PER_CODE;
         let mut columns = Array2::zeros((pieces * frames, COLUMNS + turning));
-        let halves = &self.trained.halves;
+        let halves = &self.frozen.halves;
         for (half, (net, places)) in halves.nets.iter().zip(&halves.columns).enumerate() {
-            let learned_on = self.later.as_ref().and_then(|(decoders, parameters)| {
+            let fine_tuned = self.velocity.as_ref().and_then(|(decoders, parameters)| {
                 let halves = decoders.halves.as_ref()?;
                 Some((&halves[half], parameters))
             });
             let (decoder, parameters) =
-                learned_on.unwrap_or((&net.decoder, &self.trained.parameters));
+                fine_tuned.unwrap_or((&net.decoder, &self.frozen.parameters));
             let decoded = decoder.forward(parameters, embedded[half].clone());
             fill(&mut columns, frames, &values(&decoded), places);
         }
-        if let Some((decoders, parameters)) = &self.later {
+        if let Some((decoders, parameters)) = &self.velocity {
             let [_, lower] = embedded;
             let decoded = decoders.root.forward(parameters, lower);
             let places: Vec<_> = self.root_columns.iter().copied().map(Some).collect();
@@ -117,22 +121,22 @@ impl<B: Kernels> DanceDecoder<B> {
         pieces.into_par_iter().map(placed).collect()
     }
 
-    /// Codebook entries of one half, `[pieces, codes, channels]`; all pieces are as long as the first.
-    fn entries(&self, pieces: &[[Vec<i32>; 2]], half: usize) -> Device<B, 3> {
+    /// Looks up the entries of one half, `[pieces, codes, channels]`; all pieces have one length.
+    fn entries(&self, pieces: &[[Vec<i32>; 2]], half: usize) -> Tensor<B, 3> {
         let codes: Vec<i32> = pieces
             .iter()
             .flat_map(|piece| &piece[half])
             .copied()
             .collect();
         let length = codes.len();
-        let codes = Device::<B, 1, Int>::from_data(TensorData::new(codes, [length]), &self.device);
-        let entries = self.trained.codebooks[half].lookup(codes);
+        let codes = nn::codes(codes, [length], &self.device);
+        let entries = self.frozen.codebooks[half].lookup(codes);
         let [_, channels] = entries.dims();
         entries.reshape([pieces.len(), length / pieces.len().max(1), channels])
     }
 }
 
-/// Puts decoded columns where they belong, in pieces of `frames` rows.
+/// Copies decoded columns to their places, in pieces of `frames` rows.
 fn fill(columns: &mut Array2<f32>, frames: usize, decoded: &[f32], places: &[Option<usize>]) {
     let pieces: Vec<_> = columns
         .axis_chunks_iter_mut(Axis(0), frames.max(1))

@@ -12,67 +12,33 @@ use crate::{
 /// Why a stage stopped.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum TrainError {
     /// A file or folder could not be read or written.
     #[error("{}: {source}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
     /// A configuration that cannot be used.
     #[error("{}: {message}", path.display())]
-    Config {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong in it.
-        message: String,
-    },
+    Config { path: PathBuf, message: String },
     /// A data folder that cannot be used.
     #[error("{}: {message}", path.display())]
-    Data {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong in it.
-        message: String,
-    },
+    Data { path: PathBuf, message: String },
     /// No piece of the training split is long enough.
     #[error("no training piece is long enough for a window of {length} {unit}")]
-    TooShort {
-        /// Length of a window.
-        length: usize,
-        /// Of what.
-        unit: &'static str,
-    },
+    TooShort { length: usize, unit: &'static str },
     /// A checkpoint of ours that cannot be used.
     #[error("{}: {message}", path.display())]
-    State {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong in it.
-        message: String,
-    },
+    State { path: PathBuf, message: String },
     /// Two processes would write each other's checkpoints.
     #[error("{}: another process is training there", folder.display())]
-    Busy {
-        /// The stage's folder.
-        folder: PathBuf,
-    },
+    Busy { folder: PathBuf },
     /// A stage that has to come before is not finished.
     #[error("{} is missing or not finished: run `bailando-train {stage}` first", path.display())]
-    StageMissing {
-        /// The stage.
-        stage: &'static str,
-        /// Its checkpoint.
-        path: PathBuf,
-    },
+    StageMissing { stage: &'static str, path: PathBuf },
     /// Something that a model with parts left out does not have.
-    #[error("{what}: not with ablation.{flag} (its dances: `bailando-train generate`)")]
+    #[error("{what}: not with ablation.{flag} (generate its motion: `bailando-train generate`)")]
     LeftOut {
-        /// What was asked for.
         what: &'static str,
-        /// The setting.
         flag: &'static str,
     },
     /// A loss is no number.
@@ -81,23 +47,14 @@ pub enum TrainError {
          checkpoint is from before (lower the rate, or set clip)"
     )]
     NotFinite {
-        /// The stage.
         stage: &'static str,
-        /// Which value.
         column: &'static str,
-        /// What it is.
         value: f32,
-        /// The last step it covers.
         step: u64,
     },
     /// A device that is not there.
     #[error("device `{device}`: {message}")]
-    Device {
-        /// As asked for.
-        device: String,
-        /// Why not.
-        message: String,
-    },
+    Device { device: String, message: String },
     /// Training data that cannot be read.
     #[error(transparent)]
     Dataset(#[from] DataError),
@@ -116,5 +73,10 @@ impl TrainError {
     pub(super) fn file(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::File { path, source }
+    }
+
+    pub(super) fn state(path: &Path) -> impl FnOnce(String) -> Self {
+        let path = path.to_owned();
+        move |message| Self::State { path, message }
     }
 }

@@ -7,8 +7,9 @@ use burn_flex::{Flex, FlexDevice};
 use serde_json::Value;
 
 use super::{
-    Config, Stage, TrainError, calibrate::input_ranges, keep::fingerprint, policy::Policy,
-    suppress::suppressed_codes, velocity::Decoders, vqvae::Trained,
+    calibrate::input_ranges, config::Config, error::TrainError, frozen::FrozenVqVae,
+    kept::fingerprint, policy::Policy, stage::Stage, suppress::suppressed_codes,
+    velocity::Decoders,
 };
 use crate::{
     export::{Description, ExportError, write_model_directory},
@@ -33,7 +34,7 @@ pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
     )
 }
 
-/// Writes a model directory with any policy; `facts` say more on its training.
+/// Writes a model directory with any policy; `facts` are added to the manifest's `training`.
 pub(super) fn write<const N: usize>(
     config: &Config,
     folder: &Path,
@@ -79,7 +80,7 @@ pub(super) fn write<const N: usize>(
     )?)
 }
 
-/// Starts without codes that are never drawn.
+/// Returns the starts without suppressed codes.
 fn allowed_starts(starts: &[[u32; 2]], suppressed: &SuppressedCodes) -> Vec<[u32; 2]> {
     let allowed = |&&[upper, lower]: &&[u32; 2]| {
         !suppressed.upper.contains(&upper) && !suppressed.lower.contains(&lower)
@@ -87,7 +88,7 @@ fn allowed_starts(starts: &[[u32; 2]], suppressed: &SuppressedCodes) -> Vec<[u32
     starts.iter().filter(allowed).copied().collect()
 }
 
-/// What the weights were trained with.
+/// Returns the settings that the weights were trained with.
 fn settings(config: &Config) -> Result<Value, TrainError> {
     let learned = Policy::latest_stage(config)? == Stage::ActorCritic;
     let mut settings = serde_json::to_value(config).map_err(ExportError::Manifest)?;
@@ -100,19 +101,20 @@ fn settings(config: &Config) -> Result<Value, TrainError> {
     Ok(settings)
 }
 
-/// The stages whose weights are exported.
+/// Returns the stages whose weights are exported.
 fn contributing(config: &Config) -> Result<[Stage; 3], TrainError> {
     Ok([Stage::VqVae, Stage::Velocity, Policy::latest_stage(config)?])
 }
 
-/// SHA-256 of the file that each stage contributes.
+/// Returns the SHA-256 of the file that each stage contributes.
 fn checkpoints(config: &Config) -> Result<Value, TrainError> {
     let sum = |stage: Stage| Ok((stage.name().to_owned(), fingerprint(config, stage)?.into()));
     let sums: Result<_, TrainError> = contributing(config)?.into_iter().map(sum).collect();
     Ok(Value::Object(sums?))
 }
 
-/// Whether the model directory is there, made of the stages as they are, and described as asked for.
+/// Whether the model directory exists, is made of the stages as they are, and has the configured
+/// description.
 pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
     let Ok(directory) = ModelDirectory::open(&config.export.folder) else {
         return Ok(false);
@@ -136,7 +138,8 @@ pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
     Ok(described && made_of && of(SETTINGS) == Some(&settings(config)?))
 }
 
-/// The weights of a finished run, and the pairs of codes that its training pieces begin with.
+/// Returns the weights of a finished run, and the pairs of codes that its training pieces begin
+/// with.
 ///
 /// # Errors
 /// As [`export`].
@@ -148,11 +151,11 @@ pub fn trained_weights(
 }
 
 fn vqvae_weights(config: &Config) -> Result<VqVaeWeights, TrainError> {
-    let trained = Trained::<Flex>::read(config, &FlexDevice)?;
+    let frozen = FrozenVqVae::<Flex>::read(config, &FlexDevice)?;
     let decoders = Decoders::trained(config)?;
     let half = |half: usize| {
-        let (net, store) = (&trained.halves.nets[half], &trained.halves.store);
-        let [codebook, ..] = trained.codebooks[half].state();
+        let (net, store) = (&frozen.halves.nets[half], &frozen.halves.store);
+        let [codebook, ..] = frozen.codebooks[half].state();
         HalfWeights {
             encoder: net.encoder.weights(store),
             codebook,

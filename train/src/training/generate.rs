@@ -1,5 +1,4 @@
-//! Dances of a finished run for the songs of the test split, as they are decoded: what is needed
-//! to judge a run that has no export.
+//! Motion of a finished run for the songs of the test split, to measure runs that have no export.
 
 use std::{fs, io::Write, path::Path};
 
@@ -8,18 +7,19 @@ use ndarray::Array2;
 use ndarray_npy::WriteNpyExt;
 
 use super::{
-    Config, TrainError,
-    decode::DanceDecoder,
-    device::generate_on_device,
+    config::Config,
+    decode::MotionDecoder,
+    device::on_device,
+    error::TrainError,
+    files::replace_file,
     policy::Policy,
-    sampling::{Sampler, Wish},
-    saved::replace_file,
+    sampling::{Sampler, SamplingRequest},
     songs::song_rows,
     windows::generator,
 };
 use crate::{
     data::{Dataset, Evaluation, MusicSource, OpenOptions, Portion},
-    nn::{Kernels, Parameters},
+    nn::{Kernels, Parameters, Trainable},
 };
 
 /// Pieces that are generated side by side.
@@ -42,13 +42,13 @@ impl TestPiece {
     }
 }
 
-/// Writes a dance for every piece of the test split that has music, `folder/<id>.npy`,
-/// `[frames, 24, 3]` at 60 a second, and returns how many. The root starts at the origin. The
-/// policy is the one that an export would take, at the same temperature.
+/// Writes a motion for every piece of the test split that has music, `folder/<id>.npy`,
+/// `[frames, 24, 3]` at 60 a second, and returns how many. The root starts at the origin. Policy
+/// and temperature are those of an export.
 ///
 /// # Errors
 /// [`TrainError::StageMissing`] where the run is not finished; what cannot be read or written.
-pub fn generate_test_dances(
+pub fn generate_test_motions(
     config: &Config,
     seed: u64,
     folder: &Path,
@@ -58,9 +58,11 @@ pub fn generate_test_dances(
     let pieces = test_pieces(config, output)?;
     fs::create_dir_all(folder).map_err(TrainError::file(folder))?;
     for some in pieces.chunks(PIECES_AT_ONCE) {
-        let dances = generate_on_device(config, &policy, some, seed)?;
-        for (piece, dance) in some.iter().zip(dances) {
-            write(folder, &piece.id, dance)?;
+        let motions = on_device!(config.run.device.as_str(), |A, device| {
+            motions::<A>(config, &policy, some, seed, &device)
+        })?;
+        for (piece, motion) in some.iter().zip(motions) {
+            write(folder, &piece.id, motion)?;
         }
     }
     Ok(pieces.len())
@@ -72,7 +74,7 @@ fn test_pieces(config: &Config, output: &mut impl Write) -> Result<Vec<TestPiece
         audio: data.audio_folder().map(Into::into),
     };
     let test: Portion<Evaluation> = Dataset::open(&data.folder, &options)?.evaluation()?;
-    let songs = test.dances().iter().flat_map(|dance| dance.songs());
+    let songs = test.recordings().iter().flat_map(|dance| dance.songs());
     let songs: Vec<(&String, &MusicSource)> = songs
         .filter_map(|song| Some((&song.id, song.music.as_ref()?)))
         .collect();
@@ -97,32 +99,31 @@ fn test_pieces(config: &Config, output: &mut impl Write) -> Result<Vec<TestPiece
     Ok(pieces)
 }
 
-/// The dances; none where a decoder gives what is no number. A piece comes out the same beside
-/// any others.
-pub(super) fn dances<B: Kernels>(
+/// Generates and decodes; `None` where a decoder gives NaN. A piece is the same beside any others.
+pub(super) fn motions<A: Trainable>(
     config: &Config,
     policy: &Policy,
     pieces: &[TestPiece],
     seed: u64,
-    device: &B::Device,
+    device: &A::Device,
 ) -> Result<Vec<Option<Positions>>, TrainError> {
-    let decoder = DanceDecoder::<B>::read(config, device)?;
+    let decoder = MotionDecoder::<A::InnerBackend>::read(config, device)?;
     if !config.ablation.continuous {
-        let codes = codes::<B>(config, policy, pieces, seed, device).into_iter();
+        let codes = codes::<A::InnerBackend>(config, policy, pieces, seed, device).into_iter();
         return Ok(codes.map(|codes| decoder.positions(&codes)).collect());
     }
-    let parameters = Parameters::<B>::from_store(&policy.store, device);
+    let parameters = Parameters::<A::InnerBackend>::from_store(&policy.store, device);
     let music = scaled(policy, pieces);
-    let wishes = wishes(policy, pieces, &music, seed);
-    let starts = wishes.iter().map(|wish| decoder.pair(wish.start));
+    let requests = requests(policy, pieces, &music, seed);
+    let starts = requests.iter().map(|request| decoder.pair(request.start));
     let sampler = sampler(config, policy, &parameters);
-    let found = sampler.regress(&wishes, starts.collect()).into_iter();
+    let found = sampler.regress(&requests, starts.collect()).into_iter();
     Ok(found
         .map(|vectors| decoder.positions_of_vectors(vectors))
         .collect())
 }
 
-/// Upper and lower codes of each piece.
+/// Generates the upper and lower codes of each piece.
 pub(super) fn codes<B: Kernels>(
     config: &Config,
     policy: &Policy,
@@ -132,8 +133,8 @@ pub(super) fn codes<B: Kernels>(
 ) -> Vec<[Vec<i32>; 2]> {
     let parameters = Parameters::<B>::from_store(&policy.store, device);
     let music = scaled(policy, pieces);
-    let wishes = wishes(policy, pieces, &music, seed);
-    sampler(config, policy, &parameters).generate(wishes)
+    let requests = requests(policy, pieces, &music, seed);
+    sampler(config, policy, &parameters).generate(requests)
 }
 
 fn sampler<'a, B: Kernels>(
@@ -153,36 +154,33 @@ fn scaled(policy: &Policy, pieces: &[TestPiece]) -> Vec<Array2<f32>> {
     pieces.map(|piece| policy.scaled(&piece.rows)).collect()
 }
 
-fn wishes<'a>(
+fn requests<'a>(
     policy: &Policy,
     pieces: &[TestPiece],
     music: &'a [Array2<f32>],
     seed: u64,
-) -> Vec<Wish<'a>> {
-    let wishes = pieces.iter().zip(music).map(|(piece, music)| {
+) -> Vec<SamplingRequest<'a>> {
+    let requests = pieces.iter().zip(music).map(|(piece, music)| {
         let random = generator(seed ^ PIECES, name_number(&piece.id));
-        Wish::new(music.view(), &policy.starts, random)
+        SamplingRequest::new(music.view(), &policy.starts, random)
     });
-    wishes.collect()
+    requests.collect()
 }
 
-/// Tells pieces apart by their names (FNV-1a): other pieces in a data folder change nothing.
+/// Hashes a name (FNV-1a): a piece does not depend on the other pieces of a data folder.
 fn name_number(id: &str) -> u64 {
     id.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3)
     })
 }
 
-fn write(folder: &Path, id: &str, dance: Option<Positions>) -> Result<(), TrainError> {
+fn write(folder: &Path, id: &str, motion: Option<Positions>) -> Result<(), TrainError> {
     let path = folder.join(format!("{id}.npy"));
-    let failed = |message: String| TrainError::State {
-        path: path.clone(),
-        message,
-    };
-    let dance = dance.ok_or_else(|| failed("the dance is not of numbers".into()))?;
+    let failed = |message: String| TrainError::state(&path)(message);
+    let motion =
+        motion.ok_or_else(|| failed("the motion has values that are not numbers".into()))?;
     let mut bytes = Vec::new();
-    dance
-        .write_npy(&mut bytes)
-        .map_err(|error| failed(error.to_string()))?;
+    let written = motion.write_npy(&mut bytes);
+    written.map_err(|error| failed(error.to_string()))?;
     replace_file(&path, &bytes).map_err(TrainError::file(&path))
 }

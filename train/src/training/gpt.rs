@@ -2,31 +2,37 @@
 
 use std::{collections::BTreeSet, io::Write, path::Path};
 
-use burn_tensor::{Int, Tensor as Device, TensorData, activation::log_softmax, backend::Backend};
+use burn_tensor::{Int, Tensor, activation::log_softmax, backend::Backend};
 
 use super::{
-    Config, FRAMES_PER_CODE, MotionPiece, MotionSet, Stage, TrainError,
+    checkpoint::Checkpoint,
     codes::{Augmentation, Codes},
+    config::Config,
+    crops::test_means,
+    error::TrainError,
+    frozen::FrozenVqVae,
+    identity::Identity,
+    input::{MotionPiece, MotionSet},
+    kept::WEIGHT,
     music_scale::MusicScale,
-    runner::{Losses, Plan, WEIGHT, Work},
-    saved::Saved,
-    slips::{Disturbance, Slips},
-    vqvae::{Trained, test_means},
+    stage::Stage,
+    time_shift::{InputCorruption, TimeShiftAugmentation},
+    trainable::{Losses, StageSpec, TrainableStage},
     windows::{Windows, generator},
 };
 use crate::{
-    Tensor,
-    checkpoint::Checkpoint,
-    data::{Choice, CropPlan, Draw, PHASES, rows_beside},
-    nn::{GptNet, GptSizes, Kernels, Parameters, Store, Trainable, random_gpt},
+    checkpoint::TorchCheckpoint,
+    data::{Choice, CropPlan, Draw, FRAMES_PER_CODE, PHASES, rows_beside},
+    nn::{self, GptNet, GptSizes, Kernels, Parameters, Store, Trainable, gathered, random_gpt},
     weights::GptWeights,
 };
 
-/// What the generators of replaced codes and of slips are seeded with, beside the run's seed.
+/// Seeds of the generators of replaced codes and of time shifts, beside the run's seed.
 const NOISE_SEED: u64 = 0x6E6F_6973;
-const SLIP_SEED: u64 = 0x736C_6970;
+const SHIFT_SEED: u64 = 0x736C_6970;
 
-pub(super) struct GptWork<'a, A: Trainable> {
+/// Stage `gpt`.
+pub(super) struct GptStage<'a, A: Trainable> {
     config: &'a Config,
     set: &'a MotionSet,
     windows: Windows,
@@ -37,7 +43,7 @@ pub(super) struct GptWork<'a, A: Trainable> {
     device: A::Device,
 }
 
-/// A network of the configured size.
+/// Returns a random network of the configured size.
 pub(super) fn random(config: &Config, columns: usize) -> GptWeights {
     let gpt = &config.gpt;
     let codes = match config.ablation.continuous {
@@ -55,7 +61,7 @@ pub(super) fn random(config: &Config, columns: usize) -> GptWeights {
     random_gpt(sizes, config.run.seed ^ 2)
 }
 
-/// What training starts from.
+/// The weights that training starts from.
 pub(super) struct Start {
     pub(super) net: GptNet,
     pub(super) store: Store,
@@ -63,7 +69,7 @@ pub(super) struct Start {
 }
 
 impl Start {
-    /// Weights of `init`, a run's checkpoint or an official one, else random ones.
+    /// Reads the weights of `init`, a run's checkpoint or an official one, else draws random ones.
     pub(super) fn read(
         config: &Config,
         set: &MotionSet,
@@ -79,29 +85,29 @@ impl Start {
         let Some(path) = init else {
             return Ok(start);
         };
-        let state = |message: String| TrainError::State {
-            path: path.to_owned(),
-            message,
-        };
-        match Saved::of_extension(path)? {
-            Some(saved) => start.with_saved(config, &saved).map_err(state),
+        match Checkpoint::of_extension(path)? {
+            Some(checkpoint) => start
+                .with_checkpoint(config, &checkpoint)
+                .map_err(TrainError::state(path)),
             None => {
-                let checkpoint = &mut Checkpoint::open(path)?;
+                let checkpoint = &mut TorchCheckpoint::open(path)?;
                 let weights = GptWeights::from_checkpoint(checkpoint, config.gpt.heads)?;
-                start.with_official(config, weights).map_err(state)
+                start
+                    .with_official(config, weights)
+                    .map_err(TrainError::state(path))
             }
         }
     }
 
-    fn with_saved(self, config: &Config, saved: &Saved) -> Result<Self, String> {
+    fn with_checkpoint(self, config: &Config, checkpoint: &Checkpoint) -> Result<Self, String> {
         Ok(Self {
-            store: saved.fill(WEIGHT, &self.store)?,
-            scale: MusicScale::restore_for(&config.gpt, saved)?,
+            store: checkpoint.fill(WEIGHT, &self.store)?,
+            scale: MusicScale::restore_for(&config.gpt, checkpoint)?,
             net: self.net,
         })
     }
 
-    /// The weights of plain features are brought to the scale of the training music.
+    /// Takes weights for plain features, and brings them to the scale of the training music.
     fn with_official(self, config: &Config, mut weights: GptWeights) -> Result<Self, String> {
         let mut store = Store::default();
         let sizes = "is of other sizes than [gpt] and [vqvae] say";
@@ -117,19 +123,18 @@ impl Start {
     }
 }
 
-/// The windows that are learned from.
-fn windows(config: &Config, set: &MotionSet) -> Windows {
-    let stage = &config.gpt;
+/// Returns the windows that the stage learns from; `None` where no motion is long enough.
+fn windows(config: &Config, set: &MotionSet) -> Option<Windows> {
     let crops = CropPlan {
-        frames: (stage.block + 1) * FRAMES_PER_CODE,
-        stride: stage.stride * FRAMES_PER_CODE,
+        frames: (config.gpt.block + 1) * FRAMES_PER_CODE,
+        stride: config.gpt.stride * FRAMES_PER_CODE,
         mirror: config.data.mirror,
     };
     let choices = music_choices(config, set);
     Windows::new(crops, choices, config.run.seed ^ 2)
 }
 
-/// What can be drawn of each dance.
+/// Returns the choices of each motion.
 fn music_choices(config: &Config, set: &MotionSet) -> Vec<Choice> {
     let mut choices = set.training.music_choices(config.gpt_phases());
     if config.gpt.trim_still {
@@ -142,10 +147,10 @@ fn music_choices(config: &Config, set: &MotionSet) -> Vec<Choice> {
     choices
 }
 
-/// Start phases that codes of the training split are needed for.
+/// Returns the number of start phases for which codes are needed.
 fn code_phases(config: &Config, set: &MotionSet) -> usize {
-    // A slip may be of any number of frames.
-    if Slips::new(&config.gpt).is_some() {
+    // A shift may be of any number of frames.
+    if TimeShiftAugmentation::new(&config.gpt).is_some() {
         return PHASES;
     }
     let pieces = set.training.pieces().iter();
@@ -153,28 +158,23 @@ fn code_phases(config: &Config, set: &MotionSet) -> usize {
     drawn.max().unwrap_or(1)
 }
 
-impl<'a, A: Trainable> GptWork<'a, A> {
+impl<'a, A: Trainable> GptStage<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
         init: Option<&Path>,
         device: &A::Device,
         output: &mut impl Write,
-    ) -> Result<(Plan<'a>, Self), TrainError> {
-        let stage = &config.gpt;
-        let too_short = TrainError::TooShort {
-            length: stage.block + 1,
-            unit: "codes",
-        };
+    ) -> Result<(StageSpec<'a>, Self), TrainError> {
         let mut songs = set.training.pieces().iter().flat_map(MotionPiece::songs);
-        let Some(columns) = songs.next().map(|song| song.phase(0).ncols()) else {
-            return Err(too_short);
+        let columns = songs.next().map(|song| song.phase(0).ncols());
+        let Some((columns, windows)) = columns.zip(windows(config, set)) else {
+            return Err(TrainError::TooShort {
+                length: config.gpt.block + 1,
+                unit: "codes",
+            });
         };
-        let windows = windows(config, set);
-        if windows.len() == 0 {
-            return Err(too_short);
-        }
-        let frozen = Trained::<A::InnerBackend>::read(config, device)?;
+        let frozen = FrozenVqVae::<A::InnerBackend>::read(config, device)?;
         let start = Start::read(config, set, columns, init)?;
         let mut encode = |pieces: &[MotionPiece], mirror, phases: usize| {
             let wanted = Augmentation {
@@ -188,15 +188,15 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         let codes = encode(set.training.pieces(), config.data.mirror, phases);
         let test_codes = set.test.as_ref();
         let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
-        let plan = Plan {
+        let spec = StageSpec {
             name: "gpt",
             run: &config.run,
-            training: &stage.training,
-            settings: set.settings(config, Stage::Gpt)?,
+            training: &config.gpt.training,
+            identity: Identity::of_stage(config, Stage::Gpt, set)?,
             store: start.store,
             windows: windows.len(),
         };
-        let work = Self {
+        let stage = Self {
             config,
             set,
             windows,
@@ -206,10 +206,10 @@ impl<'a, A: Trainable> GptWork<'a, A> {
             scale: start.scale,
             device: device.clone(),
         };
-        Ok((plan, work))
+        Ok((spec, stage))
     }
 
-    /// Codes beside the windows, `offset` behind their starts, `[batch, block]`.
+    /// Returns the codes of the windows, `offset` after their starts, `[batch, block]`.
     fn codes(&self, codes: &Codes, windows: &[Draw], half: usize, offset: usize) -> Vec<i32> {
         let block = self.config.gpt.block;
         let values = windows.iter().flat_map(|window| {
@@ -219,72 +219,69 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         values.copied().collect()
     }
 
-    /// The vectors behind these codes, `[batch, block, channels]`.
+    /// Gathers the vectors of these codes, `[batch, block, channels]`.
     fn vectors<B: Backend<Device = A::Device>>(
         &self,
         codes: &Codes,
         windows: &[Draw],
         half: usize,
         offset: usize,
-    ) -> Device<B, 3> {
+    ) -> Tensor<B, 3> {
         let (block, channels) = (self.config.gpt.block, self.config.vqvae.embedding);
-        let mut values: Vec<f32> = Vec::with_capacity(windows.len() * block * channels);
-        for window in windows {
-            let first = (window.start / FRAMES_PER_CODE + offset) * channels;
-            values.extend(&codes.vectors_of(window)[half][first..][..block * channels]);
-        }
-        let shape = [windows.len(), block, channels];
-        Device::from_data(TensorData::new(values, shape), &self.device)
+        let row = |window: &Draw, step: usize| {
+            let code = window.start / FRAMES_PER_CODE + offset + step;
+            codes.vectors_of(window)[half][code * channels..][..channels].to_vec()
+        };
+        gathered(windows, [block, channels], row, &self.device)
     }
 
+    /// Gathers the scaled music beside the codes, `[batch, block, columns]`.
     pub(super) fn music<B: Backend<Device = A::Device>>(
         &self,
         pieces: &[MotionPiece],
         windows: &[Draw],
-    ) -> Device<B, 3> {
+    ) -> Tensor<B, 3> {
         let (block, columns) = (self.config.gpt.block, self.scale.mean.len());
-        let mut values = Vec::with_capacity(windows.len() * block * columns);
-        for window in windows {
+        let row = |window: &Draw, step: usize| {
             let rows = pieces[window.dance].songs()[window.song].phase(window.phase);
-            for row in rows_beside(window.codes(block * FRAMES_PER_CODE)) {
-                let row = rows.row(row);
-                values.extend(self.scale.seen(row));
-            }
-        }
-        let shape = [windows.len(), block, columns];
-        Device::from_data(TensorData::new(values, shape), &self.device)
+            let beside = rows_beside(window.codes(block * FRAMES_PER_CODE));
+            self.scale
+                .scaled(rows.row(beside.start + step))
+                .collect::<Vec<_>>()
+        };
+        gathered(windows, [block, columns], row, &self.device)
     }
 
-    /// How the pasts of a step's windows are disturbed.
-    fn disturbance(&self, windows: &[Draw], step: u64) -> Disturbance {
+    /// Returns the corruption of the pasts of a step's windows.
+    fn corruption(&self, windows: &[Draw], step: u64) -> InputCorruption {
         let (stage, seed) = (&self.config.gpt, self.config.run.seed);
-        let slips = Slips::new(stage).map(|slips| {
-            let random = &mut generator(seed ^ SLIP_SEED, step);
-            slips.draw(&self.codes, windows, random)
+        let shifts = TimeShiftAugmentation::new(stage).map(|augmentation| {
+            let random = &mut generator(seed ^ SHIFT_SEED, step);
+            augmentation.draw(&self.codes, windows, random)
         });
-        Disturbance {
-            slips: slips.unwrap_or_default(),
+        InputCorruption {
+            shifts: shifts.unwrap_or_default(),
             noise: stage.code_noise,
             codes: self.config.vqvae.codes as i32,
             random: generator(seed ^ NOISE_SEED, step),
         }
     }
 
-    /// Loss, cross-entropy of the upper and of the lower codes that come next; without codes, the
-    /// mean square of the vectors' errors.
+    /// Computes the loss and the cross-entropy of the next upper and lower codes; without codes,
+    /// the mean square of the vectors' errors.
     fn losses<B: Kernels<Device = A::Device>>(
         &self,
         parameters: &Parameters<B>,
         (pieces, codes): (&[MotionPiece], &Codes),
         windows: &[Draw],
         dropout: f64,
-        disturbance: Option<Disturbance>,
-    ) -> [Device<B, 1>; 3] {
+        corruption: Option<InputCorruption>,
+    ) -> [Tensor<B, 1>; 3] {
         let music = self.music(pieces, windows);
         if self.config.ablation.continuous {
             let history = [0, 1].map(|half| self.vectors(codes, windows, half, 0));
             let found = self.net.regress(parameters, music, history, dropout);
-            let error = |found: Device<B, 3>, half| {
+            let error = |found: Tensor<B, 3>, half| {
                 let target = self.vectors(codes, windows, half, 1);
                 (found - target).square().mean()
             };
@@ -293,17 +290,17 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         }
         let block = self.config.gpt.block;
         let mut history = [0, 1].map(|half| self.codes(codes, windows, half, 0));
-        if let Some(mut disturbance) = disturbance {
+        if let Some(mut corruption) = corruption {
             for (half, codes) in history.iter_mut().enumerate() {
-                disturbance.disturb(codes, half, block);
+                corruption.apply(codes, half, block);
             }
         }
-        let on_device = |codes: Vec<i32>| -> Device<B, 2, Int> {
-            Device::from_data(TensorData::new(codes, [windows.len(), block]), &self.device)
+        let on_device = |codes: Vec<i32>| -> Tensor<B, 2, Int> {
+            nn::codes(codes, [windows.len(), block], &self.device)
         };
         let history = history.map(on_device);
         let logits = self.net.forward(parameters, music, history, dropout);
-        let entropy = |logits: Device<B, 3>, half| {
+        let entropy = |logits: Tensor<B, 3>, half| {
             let targets = on_device(self.codes(codes, windows, half, 1)).unsqueeze_dim::<3>(2);
             log_softmax(logits, 2).gather(2, targets).mean().neg()
         };
@@ -311,32 +308,26 @@ impl<'a, A: Trainable> GptWork<'a, A> {
         [upper.clone() + lower.clone(), upper, lower]
     }
 
-    /// The first frame of each dance that is learned.
+    /// Returns the first frame of each motion that is learned.
     fn first_frames(&self) -> Vec<usize> {
         let choices = music_choices(self.config, self.set).into_iter();
         choices.map(|choice| choice.skipped).collect()
     }
 }
 
-impl<A: Trainable> Work<A> for GptWork<'_, A> {
+impl<A: Trainable> TrainableStage<A> for GptStage<'_, A> {
     const COLUMNS: &'static [&'static str] = &["loss", "upper", "lower"];
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
         let stage = &self.config.gpt;
         let windows = self.windows.batch(step, stage.training.batch);
         let examples = (self.set.training.pieces(), &self.codes);
-        let disturbance = self.disturbance(&windows, step);
-        let losses = self.losses(
-            parameters,
-            examples,
-            &windows,
-            stage.dropout,
-            Some(disturbance),
-        );
+        let corruption = Some(self.corruption(&windows, step));
+        let losses = self.losses(parameters, examples, &windows, stage.dropout, corruption);
         let [loss, ..] = losses.clone();
         Losses {
             loss,
-            metrics: losses.map(Device::inner).into(),
+            metrics: losses.map(Tensor::inner).into(),
         }
     }
 
@@ -352,23 +343,15 @@ impl<A: Trainable> Work<A> for GptWork<'_, A> {
         })
     }
 
-    fn save(&self, saved: &mut Saved) {
-        let column = |values: &[f32]| Tensor::from_fn(vec![values.len()], |place| values[place]);
-        let scale = &self.scale;
-        saved
-            .tensors
-            .insert("music.mean".into(), column(&scale.mean));
-        saved
-            .tensors
-            .insert("music.spread".into(), column(&scale.spread));
+    fn save(&self, checkpoint: &mut Checkpoint) {
+        self.scale.save(checkpoint);
         let starts: BTreeSet<[i32; 2]> = self.codes.starts(&self.first_frames()).collect();
         let values: Vec<f32> = starts.iter().flatten().map(|&code| code as f32).collect();
-        let starts = Tensor::from_fn(vec![starts.len(), 2], |place| values[place]);
-        saved.tensors.insert("start_codes".into(), starts);
+        checkpoint.put_rows("start_codes", 2, &values);
     }
 
-    fn restore(&mut self, saved: &Saved) -> Result<(), String> {
-        self.scale = MusicScale::restore(saved)?;
+    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), String> {
+        self.scale = MusicScale::restore(checkpoint)?;
         Ok(())
     }
 }

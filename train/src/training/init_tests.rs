@@ -1,4 +1,4 @@
-//! What the stages start from with `--init`, in each of its forms; the critic's is beside `actor-critic`.
+//! Weights of `--init` in each of its forms; those of the critic are tested beside `actor-critic`.
 
 use std::{
     path::{Path, PathBuf},
@@ -10,16 +10,17 @@ use burn_flex::{Flex, FlexDevice};
 use ndarray::Array2;
 
 use super::{
+    checkpoint::Checkpoint,
     config::Hear,
+    frozen::Halves,
     gpt::Start,
-    runner::WEIGHT,
-    saved::Saved,
+    kept::WEIGHT,
     tests::{FRAMES, config, whole},
-    vqvae::{Halves, VqVaeWork},
+    vqvae::VqVaeStage,
     *,
 };
 use crate::{
-    checkpoint::Checkpoint,
+    checkpoint::TorchCheckpoint,
     data::testing,
     export::skeleton,
     weights::{GptWeights, VqVaeWeights},
@@ -32,23 +33,23 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(folder).join(name)
 }
 
-/// A dance with music of so many columns, which all vary.
+/// A motion with music of this many columns, which all vary.
 fn set(columns: usize) -> MotionSet {
     let positions = testing::dance(&skeleton(0.93), FRAMES, 3);
     let value = |(row, column): (usize, usize)| (row as f32 + 0.3 * column as f32).sin() + 2.0;
     let rows = Arc::new(Array2::from_shape_fn((1 + FRAMES / 8, columns), value));
     let piece = MotionPiece::from_positions(positions, MotionFrame::World).unwrap();
-    MotionSet {
-        training: Dances::new(vec![piece.with_song(SongRows::new(vec![rows]).unwrap())]),
-        test: None,
-        songs: Vec::new(),
-    }
+    MotionSet::new(
+        Motions::new(vec![piece.with_song(SongRows::new(vec![rows]).unwrap())]),
+        None,
+    )
 }
 
 #[test]
 fn a_vqvae_starts_from_an_official_checkpoint_of_its_sizes() {
     let path = fixture("tiny_vqvae.pt");
-    let weights = VqVaeWeights::from_checkpoint(&mut Checkpoint::open(&path).unwrap()).unwrap();
+    let weights =
+        VqVaeWeights::from_checkpoint(&mut TorchCheckpoint::open(&path).unwrap()).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(folder.path());
     config.data.frame = MotionFrame::World;
@@ -57,8 +58,8 @@ fn a_vqvae_starts_from_an_official_checkpoint_of_its_sizes() {
     (config.vqvae.codes, config.vqvae.embedding) = (codebook[0], codebook[1]);
     let set = set(3);
     let start = |config: &Config| {
-        let work = VqVaeWork::<Autodiff<Flex>>::new(config, &set, Some(&path), &FlexDevice);
-        work.map(|(plan, _)| plan.store.entries().to_vec())
+        let stage = VqVaeStage::<Autodiff<Flex>>::new(config, &set, Some(&path), &FlexDevice);
+        stage.map(|(spec, _)| spec.store.entries().to_vec())
     };
     let expected = Halves::new(&config, weights);
     assert_eq!(start(&config).unwrap(), expected.store.entries());
@@ -70,7 +71,7 @@ fn a_vqvae_starts_from_an_official_checkpoint_of_its_sizes() {
 #[test]
 fn a_gpt_starts_from_an_official_checkpoint_as_its_music_is_scaled() {
     let path = fixture("tiny_gpt.pt");
-    let checkpoint = &mut Checkpoint::open(&path).unwrap();
+    let checkpoint = &mut TorchCheckpoint::open(&path).unwrap();
     let weights = GptWeights::from_checkpoint(checkpoint, HEADS).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(folder.path());
@@ -103,28 +104,27 @@ fn a_gpt_starts_from_an_official_checkpoint_as_its_music_is_scaled() {
 }
 
 #[test]
-fn a_gpt_starts_from_another_run_that_heard_the_same() {
+fn a_gpt_starts_from_another_run_with_the_same_columns() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(folder.path());
     (config.data.mirror, config.data.phases) = (false, 1);
     config.gpt.training.steps = 2;
     config.gpt.standardise_music = true;
-    let set = MotionSet {
-        training: whole(FRAMES),
-        test: None,
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(whole(FRAMES), None);
     for stage in [Stage::VqVae, Stage::Gpt] {
         let log = &mut Vec::new();
         train(stage, &config, &set, None, Limits::default(), log).unwrap();
     }
     let path = folder.path().join("gpt/checkpoint.safetensors");
     let start = |config: &Config| Start::read(config, &set, 3, Some(&path));
-    let saved = Saved::read(&path).unwrap().unwrap();
+    let checkpoint = Checkpoint::read(&path).unwrap().unwrap();
     let found = start(&config).unwrap();
-    let expected = saved.fill(WEIGHT, &found.store).unwrap();
+    let expected = checkpoint.fill(WEIGHT, &found.store).unwrap();
     assert_eq!(found.store.entries(), expected.entries());
-    assert_eq!(found.scale.mean, saved.tensor("music.mean").unwrap().data());
+    assert_eq!(
+        found.scale.mean,
+        checkpoint.tensor("music.mean").unwrap().data()
+    );
 
     let says = |config: &Config, setting: &str| {
         let refused = start(config).err().unwrap();

@@ -1,6 +1,6 @@
-//! What the stages take in: dances in memory, the two splits kept apart by type.
+//! Motions in memory, as the stages learn from them; the two splits are of different types.
 
-use std::{io::Write, marker::PhantomData, ops::Range, sync::Arc};
+use std::{io::Write, marker::PhantomData, ops::Range};
 
 use bailando::motion::{
     MotionError, MotionFrame, Positions, joint_speed, slow_share, to_dancer_frame,
@@ -8,17 +8,18 @@ use bailando::motion::{
 use ndarray::Array2;
 
 use super::{
-    Config, Stage, TrainError,
-    keep::settings,
+    config::Config,
+    error::TrainError,
     song::{Song as Target, training_songs},
-    songs::{MusicRows, song_rows},
+    songs::{MusicRows, SongRows, song_rows},
+    stage::Load,
 };
 use crate::data::{
     Choice, DataError, Dataset, Draw, Evaluation, FPS, Motion, OpenOptions, Portion, Song,
-    SplitKind, Training, common_frames, mirrored_column, quantised,
+    SplitKind, Training, common_frames, crop_starts, mirrored_column, quantised,
 };
 
-/// A dance and the songs that go with it.
+/// A motion and the songs that go with it.
 #[derive(Clone, Debug)]
 pub struct MotionPiece {
     /// `[frames, 72]` at 60 fps: the root's velocity (metres per frame) in columns 0..2, the other
@@ -26,33 +27,15 @@ pub struct MotionPiece {
     /// dancer's frame `[frames, 73]`, turned, with the turn in the last column.
     motion: Array2<f32>,
     songs: Vec<SongRows>,
-    /// Frames without those that it begins and ends with while it stands.
+    /// Frames without those in which the dancer stands at the start and at the end.
     dancing: Range<usize>,
 }
 
-/// So many frames at either end of a recording may be those of somebody who gets ready, or has done.
+/// Frames at either end of a recording in which the dancer may stand ready.
 const EDGE: usize = 5 * FPS;
 
-/// Conditioning rows of a song, row `k` at frame `8 k`, for each start phase from 0 on.
-#[derive(Clone, Debug)]
-pub struct SongRows(Vec<Arc<Array2<f32>>>);
-
-impl SongRows {
-    /// Takes `[rows, columns]` of the whole song, then of the song without its first frame, and so
-    /// on; one entry for a song that cannot be moved. None without any.
-    #[must_use]
-    pub fn new(phases: Vec<Arc<Array2<f32>>>) -> Option<Self> {
-        (!phases.is_empty()).then_some(Self(phases))
-    }
-
-    /// Rows of the song without its first `phase` frames, which must be among those known.
-    pub(super) fn phase(&self, phase: usize) -> &Array2<f32> {
-        &self.0[phase]
-    }
-}
-
 impl MotionPiece {
-    /// From joints in world space, `[frames, 24, 3]` metres; without songs.
+    /// Takes joints in world space, `[frames, 24, 3]` metres; without songs.
     ///
     /// # Errors
     /// [`MotionError::Shape`] for other joints.
@@ -71,43 +54,44 @@ impl MotionPiece {
         })
     }
 
-    /// With one more song.
+    /// Adds a song.
     #[must_use]
     pub fn with_song(mut self, song: SongRows) -> Self {
         self.songs.push(song);
         self
     }
 
-    /// The frames between the last slow one of its first five seconds and the first slow one of its last five.
+    /// Returns the frames between the last slow frame of the first five seconds and the first slow
+    /// frame of the last five.
     pub(super) fn dancing(&self) -> Range<usize> {
         self.dancing.clone()
     }
 
-    /// Number of frames.
+    /// Returns the number of frames.
     #[must_use]
     pub fn frames(&self) -> usize {
         self.motion.nrows()
     }
 
-    /// The songs.
+    /// Returns the songs.
     #[must_use]
     pub fn songs(&self) -> &[SongRows] {
         &self.songs
     }
 
-    /// Frames that have music whatever song is drawn.
+    /// Returns the number of frames that have music with every song.
     pub(super) fn frames_with_music(&self) -> usize {
         let rows = self.songs.iter().map(|song| song.phase(0).nrows()).min();
         common_frames(self.frames(), rows.unwrap_or(0))
     }
 
-    /// Start phases, at most `wanted`, that all of its songs have rows of.
+    /// Returns the number of start phases, at most `wanted`, for which all of its songs have rows.
     pub(super) fn phases(&self, wanted: usize) -> usize {
-        let known = self.songs.iter().map(|song| song.0.len()).min();
+        let known = self.songs.iter().map(|song| song.phases()).min();
         known.map_or(wanted, |known| known.min(wanted)).max(1)
     }
 
-    /// A value of the dance or of its mirror image.
+    /// Returns a value of the motion or of its mirror image.
     pub(super) fn value(&self, frame: usize, column: usize, mirrored: bool) -> f32 {
         if !mirrored {
             return self.motion[[frame, column]];
@@ -117,7 +101,7 @@ impl MotionPiece {
     }
 }
 
-/// See [`MotionPiece::dancing`]; of motion as a decoder gives it.
+/// See [`MotionPiece::dancing`]; takes motion as a decoder gives it.
 fn dancing(decoded: &Array2<f32>) -> Range<usize> {
     let speed = joint_speed(decoded.view());
     let slow = |&step: &f64| slow_share(&[step], FPS as f64) > 0.0;
@@ -133,15 +117,15 @@ fn dancing(decoded: &Array2<f32>) -> Range<usize> {
     begins..ends.max(begins)
 }
 
-/// The dances of one split: what takes `Dances<Training>` cannot be given a test dance.
+/// The motions of one split. A function of `Motions<Training>` cannot be given test motions.
 #[derive(Clone, Debug)]
-pub struct Dances<S> {
+pub struct Motions<S> {
     pieces: Vec<MotionPiece>,
     split: PhantomData<S>,
 }
 
-impl<S: SplitKind> Dances<S> {
-    /// Takes dances of the split.
+impl<S: SplitKind> Motions<S> {
+    /// Takes motions of the split.
     #[must_use]
     pub fn new(pieces: Vec<MotionPiece>) -> Self {
         Self {
@@ -150,7 +134,7 @@ impl<S: SplitKind> Dances<S> {
         }
     }
 
-    /// The dances; places in [`Draw::dance`].
+    /// Returns the motions; [`Draw::dance`] is a place in them.
     #[must_use]
     pub fn pieces(&self) -> &[MotionPiece] {
         &self.pieces
@@ -162,8 +146,8 @@ impl<S: SplitKind> Dances<S> {
         quantise_frames: usize,
         rows: Option<&MusicRows>,
     ) -> Result<Self, TrainError> {
-        let mut pieces = Vec::with_capacity(portion.dances().len());
-        for dance in portion.dances() {
+        let mut pieces = Vec::with_capacity(portion.recordings().len());
+        for dance in portion.recordings() {
             let songs = |rows: &MusicRows| -> Vec<SongRows> {
                 let songs = dance.songs().iter();
                 let rows = songs.filter_map(|song| rows.get(song.music.as_ref()?));
@@ -194,16 +178,15 @@ impl<S: SplitKind> Dances<S> {
     }
 }
 
-impl Dances<Training> {
-    /// A short text that changes with the amount of data: resuming with other data is refused.
-    fn amount(&self) -> String {
-        let frames: usize = self.pieces.iter().map(MotionPiece::frames).sum();
-        let songs: usize = self.pieces.iter().map(|piece| piece.songs.len()).sum();
-        let dances = self.pieces.len();
-        format!("{dances} dances of {frames} frames with {songs} songs")
+impl Motions<Training> {
+    /// Returns the numbers of motions, frames and songs: a run with other data is not resumed.
+    pub(super) fn amount(&self) -> [usize; 3] {
+        let frames = self.pieces.iter().map(MotionPiece::frames).sum();
+        let songs = self.pieces.iter().map(|piece| piece.songs.len()).sum();
+        [self.pieces.len(), frames, songs]
     }
 
-    /// What can be drawn of each dance where music does not matter.
+    /// Returns the choices of each motion where music does not matter.
     pub(super) fn motion_choices(&self, phases: usize) -> Vec<Choice> {
         let choice = |piece: &MotionPiece| Choice {
             frames: piece.frames(),
@@ -214,7 +197,7 @@ impl Dances<Training> {
         self.pieces.iter().map(choice).collect()
     }
 
-    /// What can be drawn of each dance with one of its songs.
+    /// Returns the choices of each motion with one of its songs.
     pub(super) fn music_choices(&self, phases: usize) -> Vec<Choice> {
         let choice = |piece: &MotionPiece| Choice {
             frames: piece.frames_with_music(),
@@ -226,23 +209,23 @@ impl Dances<Training> {
     }
 }
 
-impl Dances<Evaluation> {
-    /// The fixed crops that test losses are taken over: all of them, as they are.
+impl Motions<Evaluation> {
+    /// Returns the fixed crops of test losses: all of them, without augmentation.
     pub(super) fn crops(&self, length: usize) -> Vec<Draw> {
         let pieces = self.pieces.iter().enumerate();
         let crops = pieces.flat_map(|(dance, piece)| {
-            let starts = crate::data::crop_starts(piece.frames(), length, length);
+            let starts = crop_starts(piece.frames(), length, length);
             starts.map(move |start| fixed(dance, 0, start))
         });
         crops.collect()
     }
 
-    /// The same for music: each dance with each of its songs.
+    /// Returns the fixed crops of each motion with each of its songs.
     pub(super) fn crops_with_music(&self, length: usize, stride: usize) -> Vec<Draw> {
         let mut crops = Vec::new();
         for (dance, piece) in self.pieces.iter().enumerate() {
             for song in 0..piece.songs.len() {
-                let starts = crate::data::crop_starts(piece.frames_with_music(), length, stride);
+                let starts = crop_starts(piece.frames_with_music(), length, stride);
                 crops.extend(starts.map(|start| fixed(dance, song, start)));
             }
         }
@@ -254,35 +237,33 @@ fn fixed(dance: usize, song: usize, start: usize) -> Draw {
     Draw {
         dance,
         song,
-        phase: 0,
         start,
-        mirrored: false,
+        ..Draw::default()
     }
 }
 
-/// What a run learns from and is judged by.
+/// The data of a run: for training and for test losses.
 #[derive(Clone, Debug)]
 pub struct MotionSet {
-    /// Learned from.
-    pub training: Dances<Training>,
+    /// For training.
+    pub training: Motions<Training>,
     /// For test losses alone.
-    pub test: Option<Dances<Evaluation>>,
-    /// What a policy dances to in training ([`Load::Songs`]).
+    pub test: Option<Motions<Evaluation>>,
+    /// Songs for which a policy generates motion in training ([`Load::Songs`]).
     pub songs: Vec<Target>,
 }
 
-/// What is needed of a data folder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Load {
-    /// Dances alone.
-    Motion,
-    /// Dances that have music, and the songs' features; progress is reported.
-    Music,
-    /// The training songs and their beats, for rewards; and dances alone.
-    Songs,
-}
-
 impl MotionSet {
+    /// Takes motions of both splits; without songs for rewards.
+    #[must_use]
+    pub fn new(training: Motions<Training>, test: Option<Motions<Evaluation>>) -> Self {
+        Self {
+            training,
+            test,
+            songs: Vec::new(),
+        }
+    }
+
     /// Reads a data folder of any layout.
     ///
     /// # Errors
@@ -305,14 +286,14 @@ impl MotionSet {
                     songs.iter().filter_map(|song| song.music.clone()).collect()
                 };
                 let mut wanted = Vec::new();
-                for dance in training.dances() {
+                for dance in training.recordings() {
                     wanted.extend(
                         songs(dance.songs())
                             .into_iter()
                             .map(|song| (song, config.gpt_phases())),
                     );
                 }
-                for dance in test.iter().flat_map(Portion::dances) {
+                for dance in test.iter().flat_map(Portion::recordings) {
                     wanted.extend(songs(dance.songs()).into_iter().map(|song| (song, 1)));
                 }
                 Some(song_rows(data, wanted, output)?)
@@ -323,9 +304,9 @@ impl MotionSet {
             Load::Motion | Load::Songs => 0,
         };
         let set = Self {
-            training: Dances::read(&training, data.frame, quantise_frames, rows.as_ref())?,
+            training: Motions::read(&training, data.frame, quantise_frames, rows.as_ref())?,
             test: match test {
-                Some(test) => Some(Dances::read(&test, data.frame, 0, rows.as_ref())?),
+                Some(test) => Some(Motions::read(&test, data.frame, 0, rows.as_ref())?),
                 None => None,
             },
             songs: match load {
@@ -336,15 +317,9 @@ impl MotionSet {
         if set.training.pieces.is_empty() {
             return Err(TrainError::Data {
                 path: data.folder.clone(),
-                message: "no dance of the training split has music".into(),
+                message: "no motion of the training split has music".into(),
             });
         }
         Ok(set)
-    }
-
-    /// All that the result of a stage depends on.
-    pub(super) fn settings(&self, config: &Config, stage: Stage) -> Result<String, TrainError> {
-        let amount = self.training.amount();
-        Ok(format!("{}{amount}", settings(config, stage)?))
     }
 }

@@ -7,7 +7,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{TrainError, saved::replace_file};
+use super::{
+    error::TrainError,
+    files::{if_present, replace_file},
+};
 
 /// The file of a running stage.
 pub(super) struct Metrics {
@@ -17,14 +20,20 @@ pub(super) struct Metrics {
 }
 
 impl Metrics {
-    /// Lines beyond `step` are of a run that was killed after its checkpoint: they are taken off.
+    /// Opens the file, or starts one. Lines beyond `step` are of a run that was killed after its
+    /// checkpoint: they are taken off.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] for anything but a missing file: metrics that cannot be read are not
+    /// replaced.
     pub(super) fn open(
         path: PathBuf,
         columns: &[&str],
         test_columns: &[&str],
         step: u64,
     ) -> Result<Self, TrainError> {
-        let old = fs::read_to_string(&path).unwrap_or_default();
+        let old = if_present(fs::read_to_string(&path)).map_err(TrainError::file(&path))?;
+        let old = old.as_deref().unwrap_or("");
         let names = [&["step", "rate"], columns, test_columns].concat();
         let mut text = format!("{}\n", names.join(","));
         let whole = |line: &&str| line.ends_with('\n') && step_of(line).is_some_and(|n| n <= step);
@@ -41,7 +50,7 @@ impl Metrics {
         })
     }
 
-    /// One line; nothing in the columns of the test split where it was not measured.
+    /// Appends a line; columns of the test split stay empty where it was not measured.
     pub(super) fn append(
         &mut self,
         step: u64,
@@ -72,11 +81,11 @@ fn step_of(line: &str) -> Option<u64> {
     line.split(',').next()?.parse().ok()
 }
 
-/// The measured points of every column, by step.
+/// Reads the measured points of every column, by step.
 pub(super) fn read_series(path: &Path) -> Result<BTreeMap<String, Vec<(u64, f64)>>, TrainError> {
     let text = fs::read_to_string(path).map_err(TrainError::file(path))?;
     let mut lines = text.lines();
-    let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let names: Vec<&str> = lines.next().unwrap_or("").split(',').collect();
     let mut series: BTreeMap<String, Vec<(u64, f64)>> = BTreeMap::new();
     for line in lines {
         let Some(step) = step_of(line) else { continue };
@@ -95,6 +104,19 @@ pub(super) fn read_series(path: &Path) -> Result<BTreeMap<String, Vec<(u64, f64)
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn metrics_that_cannot_be_read_are_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.csv");
+        let bytes = b"step,rate,loss\n10,5e-1,\xff\n";
+        fs::write(&path, bytes).unwrap();
+        let refused = Metrics::open(path.clone(), &["loss"], &[], 20)
+            .err()
+            .unwrap();
+        assert!(matches!(refused, TrainError::File { .. }), "{refused}");
+        assert_eq!(fs::read(&path).unwrap(), bytes);
+    }
 
     #[test]
     fn lines_after_the_checkpoint_and_torn_lines_go() {

@@ -4,17 +4,21 @@ use bailando::features::{BEAT_COLUMN, COLUMNS, ONSET_COLUMN};
 use ndarray::ArrayView1;
 
 use super::{
-    Dances,
+    checkpoint::Checkpoint,
     config::{GptConfig, Hear},
-    saved::Saved,
+    input::Motions,
 };
-use crate::{Tensor, data::Training, weights::Linear};
+use crate::{HostTensor, data::Training, weights::Linear};
 
-/// Music columns that hardly move are not blown up beyond this.
+/// Smallest spread: columns that hardly move are not amplified further.
 const SMALLEST_SPREAD: f32 = 1e-3;
 
-/// The spread of a column that is not heard: the largest that can be saved.
+/// The spread of a column that is left out: the largest that can be saved.
 const MUTED: f32 = f32::MAX;
+
+/// Names in checkpoints.
+const MEAN: &str = "music.mean";
+const SPREAD: &str = "music.spread";
 
 /// Mean and spread of each music column; training sees `(row - mean) / spread`.
 #[derive(Clone, Debug)]
@@ -24,32 +28,39 @@ pub(super) struct MusicScale {
 }
 
 impl MusicScale {
-    /// Over the first phase of all songs; dances weigh the same however many songs they have.
-    pub(super) fn measure(dances: &Dances<Training>, columns: usize, config: &GptConfig) -> Self {
+    /// Measures the first phase of all songs; a motion has one weight, however many songs it has.
+    pub(super) fn measure(motions: &Motions<Training>, columns: usize, config: &GptConfig) -> Self {
         let mut scale = Self {
             mean: vec![0.0; columns],
             spread: vec![1.0; columns],
         };
         if config.standardise_music {
-            scale.standardise(dances);
+            scale.standardise(motions);
         }
         scale.mute(|column| is_muted(config.hear, column));
         scale
     }
 
-    /// That of a stage's checkpoint.
-    pub(super) fn restore(saved: &Saved) -> Result<Self, String> {
-        let column = |name| Ok::<_, String>(saved.tensor(name)?.data().to_vec());
+    /// Adds the scale to a checkpoint.
+    pub(super) fn save(&self, checkpoint: &mut Checkpoint) {
+        checkpoint.put_vector(MEAN, &self.mean);
+        checkpoint.put_vector(SPREAD, &self.spread);
+    }
+
+    /// Reads the scale of a stage's checkpoint.
+    pub(super) fn restore(checkpoint: &Checkpoint) -> Result<Self, String> {
+        let column = |name| Ok::<_, String>(checkpoint.tensor(name)?.data().to_vec());
         Ok(Self {
-            mean: column("music.mean")?,
-            spread: column("music.spread")?,
+            mean: column(MEAN)?,
+            spread: column(SPREAD)?,
         })
     }
 
-    /// That of another run's checkpoint, if it hears what `config` says: a model's manifest tells the settings,
-    /// and the weights of a muted column mean nothing.
-    pub(super) fn restore_for(config: &GptConfig, saved: &Saved) -> Result<Self, String> {
-        let scale = Self::restore(saved)?;
+    /// Reads the scale of another run's checkpoint, if that run had the same `hear` and
+    /// `standardise_music`: the manifest states the settings, and weights of a muted column mean
+    /// nothing.
+    pub(super) fn restore_for(config: &GptConfig, checkpoint: &Checkpoint) -> Result<Self, String> {
+        let scale = Self::restore(checkpoint)?;
         let muted = scale.spread.iter().map(|&spread| spread == MUTED);
         let wanted = (0..scale.spread.len()).map(|column| is_muted(config.hear, column));
         if !muted.eq(wanted) {
@@ -61,7 +72,7 @@ impl MusicScale {
         Ok(scale)
     }
 
-    /// Whether columns have the training's mean and spread taken off.
+    /// Whether columns are scaled by the training's mean and spread.
     pub(super) fn is_standardised(&self) -> bool {
         let moved = self.mean.iter().any(|&mean| mean != 0.0);
         moved
@@ -71,7 +82,7 @@ impl MusicScale {
                 .any(|&spread| ![1.0, MUTED].contains(&spread))
     }
 
-    /// Without some columns: they weigh nothing, here and when folded.
+    /// Leaves columns out: they have no weight, here and when folded.
     fn mute(&mut self, is_muted: impl Fn(usize) -> bool) {
         for (column, spread) in self.spread.iter_mut().enumerate() {
             if is_muted(column) {
@@ -80,10 +91,10 @@ impl MusicScale {
         }
     }
 
-    fn standardise(&mut self, dances: &Dances<Training>) {
+    fn standardise(&mut self, motions: &Motions<Training>) {
         let columns = self.mean.len();
         let (mut total, mut sums) = (0.0_f64, vec![[0.0_f64; 2]; columns]);
-        for piece in dances.pieces() {
+        for piece in motions.pieces() {
             let weight = 1.0 / piece.songs().len() as f64;
             for row in piece.songs().iter().flat_map(|song| song.phase(0).rows()) {
                 total += weight;
@@ -101,8 +112,8 @@ impl MusicScale {
         }
     }
 
-    /// A row as training sees it.
-    pub(super) fn seen<'a>(&'a self, row: ArrayView1<'a, f32>) -> impl Iterator<Item = f32> + 'a {
+    /// Scales a row as training sees it.
+    pub(super) fn scaled<'a>(&'a self, row: ArrayView1<'a, f32>) -> impl Iterator<Item = f32> + 'a {
         let scale = self.mean.iter().zip(&self.spread);
         row.into_iter()
             .zip(scale)
@@ -112,32 +123,32 @@ impl MusicScale {
             })
     }
 
-    /// The same map for rows that are not scaled: what is exported.
+    /// Returns the same map for unscaled rows, for the export.
     pub(super) fn fold(&self, music: &Linear) -> Linear {
         let columns = self.mean.len();
-        let weight = Tensor::from_fn(music.weight.shape().to_vec(), |flat| {
+        let weight = HostTensor::from_fn(music.weight.shape().to_vec(), |flat| {
             match self.spread[flat % columns] {
                 MUTED => 0.0,
                 spread => music.weight.data()[flat] / spread,
             }
         });
-        let bias = Tensor::from_fn(music.bias.shape().to_vec(), |channel| {
+        let bias = HostTensor::from_fn(music.bias.shape().to_vec(), |channel| {
             let row = weight.data()[channel * columns..].iter().zip(&self.mean);
             music.bias.data()[channel] - row.map(|(weight, mean)| weight * mean).sum::<f32>()
         });
         Linear { weight, bias }
     }
 
-    /// The opposite of [`MusicScale::fold`].
+    /// Reverses [`MusicScale::fold`].
     pub(super) fn unfold(&self, music: &Linear) -> Linear {
         let columns = self.mean.len();
-        let bias = Tensor::from_fn(music.bias.shape().to_vec(), |channel| {
+        let bias = HostTensor::from_fn(music.bias.shape().to_vec(), |channel| {
             let row = music.weight.data()[channel * columns..]
                 .iter()
                 .zip(&self.mean);
             music.bias.data()[channel] + row.map(|(weight, mean)| weight * mean).sum::<f32>()
         });
-        let weight = Tensor::from_fn(music.weight.shape().to_vec(), |flat| {
+        let weight = HostTensor::from_fn(music.weight.shape().to_vec(), |flat| {
             match self.spread[flat % columns] {
                 MUTED => 0.0,
                 spread => music.weight.data()[flat] * spread,
@@ -147,7 +158,7 @@ impl MusicScale {
     }
 }
 
-/// Whether the GPT is not given a column of the music. Places within a count lie behind the features.
+/// Whether a column of the music is left out. The places within a count come after the features.
 fn is_muted(hear: Hear, column: usize) -> bool {
     match hear {
         Hear::All => false,
@@ -172,8 +183,8 @@ mod tests {
         };
         scale.mute(|column| column == 2);
         let trained = Linear {
-            weight: Tensor::from_fn(vec![2, 3], |flat| flat as f32 - 2.0),
-            bias: Tensor::from_fn(vec![2], |channel| channel as f32),
+            weight: HostTensor::from_fn(vec![2, 3], |flat| flat as f32 - 2.0),
+            bias: HostTensor::from_fn(vec![2], |channel| channel as f32),
         };
         let apply = |linear: &Linear, row: [f32; 3]| {
             [0, 1].map(|channel| {
@@ -192,33 +203,34 @@ mod tests {
             }
         }
         let back = scale.unfold(&folded);
-        let heard =
-            [0, 1, 3, 4].map(|flat| (back.weight.data()[flat], trained.weight.data()[flat]));
+        let kept = [0, 1, 3, 4].map(|flat| (back.weight.data()[flat], trained.weight.data()[flat]));
         assert!(
-            heard
-                .iter()
+            kept.iter()
                 .all(|(back, weight)| (back - weight).abs() < 1e-5),
-            "{heard:?}"
+            "{kept:?}"
         );
         assert_eq!(back.bias.data(), trained.bias.data());
         assert!([2, 5].iter().all(|&flat| folded.weight.data()[flat] == 0.0));
     }
 
-    fn saved(spread: [f32; 2], mean: [f32; 2]) -> Saved {
-        let mut saved = Saved::default();
-        for (name, values) in [("music.mean", mean), ("music.spread", spread)] {
-            let tensor = Tensor::from_fn(vec![2], |place| values[place]);
-            saved.tensors.insert(name.into(), tensor);
-        }
-        saved
+    fn checkpoint(spread: [f32; 2], mean: [f32; 2]) -> Checkpoint {
+        let mut checkpoint = Checkpoint::default();
+        checkpoint.put_vector(MEAN, &mean);
+        checkpoint.put_vector(SPREAD, &spread);
+        checkpoint
     }
 
     #[test]
     fn a_saved_scale_must_be_what_the_settings_say() {
         let mut config = Config::parse("").unwrap().gpt;
-        let restored = |config: &GptConfig, saved: &Saved| MusicScale::restore_for(config, saved);
-        let (plain, muted) = (saved([1.0; 2], [0.0; 2]), saved([MUTED; 2], [0.0; 2]));
-        let scaled = saved([0.5, 2.0], [3.0, 0.0]);
+        let restored = |config: &GptConfig, checkpoint: &Checkpoint| {
+            MusicScale::restore_for(config, checkpoint)
+        };
+        let (plain, muted) = (
+            checkpoint([1.0; 2], [0.0; 2]),
+            checkpoint([MUTED; 2], [0.0; 2]),
+        );
+        let scaled = checkpoint([0.5, 2.0], [3.0, 0.0]);
         assert!(restored(&config, &plain).is_ok());
         assert!(restored(&config, &muted).unwrap_err().contains("gpt.hear"));
         let refused = restored(&config, &scaled).unwrap_err();
@@ -231,7 +243,7 @@ mod tests {
         config.hear = Hear::Rhythm;
         let refused = restored(&config, &scaled).unwrap_err();
         assert!(refused.contains("gpt.hear"), "{refused}");
-        assert!(restored(&config, &saved([MUTED; 2], [3.0, 0.0])).is_ok());
+        assert!(restored(&config, &checkpoint([MUTED; 2], [3.0, 0.0])).is_ok());
         config.standardise_music = false;
         assert!(restored(&config, &muted).is_ok());
     }

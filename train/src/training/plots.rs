@@ -9,8 +9,8 @@ use std::{
 
 use super::{
     chart::{Chart, Line, draw},
+    files::replace_file,
     metrics::read_series,
-    saved::replace_file,
 };
 
 /// Plots follow the checkpoints, but not more often than this.

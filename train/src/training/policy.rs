@@ -1,18 +1,18 @@
-//! The motion GPT as a finished stage left it: what `actor-critic`, `adapt` and `export` start from.
+//! The motion GPT of a finished stage, from which `actor-critic`, `adapt` and `export` start.
 
 use ndarray::Array2;
 
 use super::{
-    Config, Stage, TrainError,
-    config::RunConfig,
+    checkpoint::Checkpoint,
+    config::{Config, RunConfig, TrainingConfig},
+    error::TrainError,
     gpt::random,
-    keep::{is_finished, read_kept},
+    identity::is_finished,
+    kept::{WEIGHT, checkpoint_path, read_finished, read_kept},
     music_scale::MusicScale,
-    runner::{WEIGHT, checkpoint_path},
-    saved::Saved,
+    stage::Stage,
 };
 use crate::{
-    Tensor,
     nn::{CriticNet, GptNet, Store, random_critic},
     weights::{CriticWeights, GptWeights},
 };
@@ -20,25 +20,25 @@ use crate::{
 /// A generator's seed for the critic's first weights.
 const CRITIC_SEED: u64 = 0x6372_6974;
 
-/// State network and policy, and what belongs to them.
+/// State network and policy, with the scale of their music.
 pub(super) struct Policy {
     pub(super) net: GptNet,
     pub(super) store: Store,
     pub(super) scale: MusicScale,
     /// Pairs of upper and lower codes that training pieces begin with.
     pub(super) starts: Vec<[u32; 2]>,
-    /// The critic that learned beside it, where one did.
+    /// The critic that learned beside it, if any.
     pub(super) critic: Option<CriticWeights>,
 }
 
 impl Policy {
-    /// That of a finished stage, `gpt` or `actor-critic`.
+    /// Reads that of a finished stage, `gpt` or `actor-critic`.
     pub(super) fn of_stage(config: &Config, stage: Stage) -> Result<Self, TrainError> {
-        let (path, saved) = read_kept(config, stage)?;
-        Self::restore(config, &saved).map_err(|message| TrainError::State { path, message })
+        let (path, checkpoint) = read_kept(config, stage)?;
+        Self::restore(config, &checkpoint).map_err(TrainError::state(&path))
     }
 
-    /// `actor-critic` where the run has that stage and it is finished, else `gpt`.
+    /// Returns `actor-critic` where the run has that stage and it is finished, else `gpt`.
     pub(super) fn latest_stage(config: &Config) -> Result<Stage, TrainError> {
         if config.actor_critic.enabled && is_finished(config, Stage::ActorCritic)? {
             return Ok(Stage::ActorCritic);
@@ -46,7 +46,8 @@ impl Policy {
         Ok(Stage::Gpt)
     }
 
-    /// That of [`Policy::latest_stage`]; of what rewards changed, as much as `actor_critic.kept` says.
+    /// Reads that of [`Policy::latest_stage`], with the share `actor_critic.kept` of what the
+    /// rewards changed.
     pub(super) fn latest(config: &Config) -> Result<Self, TrainError> {
         let stage = Self::latest_stage(config)?;
         let latest = Self::of_stage(config, stage)?;
@@ -61,73 +62,57 @@ impl Policy {
         })
     }
 
-    /// That of a stage in a folder beside the run.
+    /// Reads that of a finished stage in a folder beside the run.
     pub(super) fn of_folder(
         config: &Config,
         run: &RunConfig,
         stage: &'static str,
+        training: &TrainingConfig,
     ) -> Result<Self, TrainError> {
-        let saved = Saved::finished(run, stage)?;
-        Self::restore(config, &saved).map_err(|message| TrainError::State {
-            path: checkpoint_path(run, stage),
-            message,
-        })
+        let checkpoint = read_finished(run, stage, training)?;
+        let path = checkpoint_path(run, stage);
+        Self::restore(config, &checkpoint).map_err(TrainError::state(&path))
     }
 
-    fn restore(config: &Config, saved: &Saved) -> Result<Self, String> {
-        let scale = MusicScale::restore(saved)?;
+    fn restore(config: &Config, checkpoint: &Checkpoint) -> Result<Self, String> {
+        let scale = MusicScale::restore(checkpoint)?;
         let mut store = Store::default();
         let weights = random(config, scale.mean.len());
         let net = config.ablation.network(&weights, &mut store);
-        let pairs = saved.tensor("start_codes")?.data().as_chunks::<2>().0;
+        let pairs = checkpoint.tensor("start_codes")?.data().as_chunks::<2>().0;
         let pairs = pairs.iter().map(|pair| pair.map(|code| code as u32));
         let mut critic_store = Store::default();
         let critic = CriticNet::new(&first_critic(config), &mut critic_store);
-        let critic_store = saved.fill(WEIGHT, &critic_store).ok();
+        let critic_store = checkpoint.fill(WEIGHT, &critic_store).ok();
         Ok(Self {
             net,
-            store: saved.fill(WEIGHT, &store)?,
+            store: checkpoint.fill(WEIGHT, &store)?,
             scale,
             starts: pairs.collect(),
             critic: critic_store.map(|store| critic.weights(&store)),
         })
     }
 
-    /// Takes what belongs to the weights into a checkpoint that [`Policy::of_stage`] understands.
-    pub(super) fn save(&self, saved: &mut Saved) {
-        let starts: Vec<f32> = self
-            .starts
-            .concat()
-            .iter()
-            .map(|&code| code as f32)
-            .collect();
-        let tensors = [
-            ("music.mean", vec![self.scale.mean.len()], &self.scale.mean),
-            (
-                "music.spread",
-                vec![self.scale.spread.len()],
-                &self.scale.spread,
-            ),
-            ("start_codes", vec![self.starts.len(), 2], &starts),
-        ];
-        for (name, shape, values) in tensors {
-            let tensor = Tensor::from_fn(shape, |place| values[place]);
-            saved.tensors.insert(name.into(), tensor);
-        }
+    /// Adds scale and starts to a checkpoint that [`Policy::of_stage`] reads.
+    pub(super) fn save(&self, checkpoint: &mut Checkpoint) {
+        self.scale.save(checkpoint);
+        let starts = self.starts.as_flattened().iter();
+        let starts: Vec<f32> = starts.map(|&code| code as f32).collect();
+        checkpoint.put_rows("start_codes", 2, &starts);
     }
 
-    /// Music rows as the weights in the store take them.
+    /// Scales music rows for the weights in the store.
     pub(super) fn scaled(&self, rows: &Array2<f32>) -> Array2<f32> {
         let mut scaled = Array2::zeros(rows.dim());
         for (mut scaled, row) in scaled.rows_mut().into_iter().zip(rows.rows()) {
-            for (scaled, value) in scaled.iter_mut().zip(self.scale.seen(row)) {
+            for (scaled, value) in scaled.iter_mut().zip(self.scale.scaled(row)) {
                 *scaled = value;
             }
         }
         scaled
     }
 
-    /// The weights for plain features: the scale is folded in.
+    /// Returns the weights for plain features: the scale is folded in.
     pub(super) fn weights(&self) -> GptWeights {
         let mut weights = self.net.weights(&self.store);
         weights.music = self.scale.fold(&weights.music);
@@ -135,7 +120,7 @@ impl Policy {
     }
 }
 
-/// A critic of the configured size that knows nothing.
+/// Returns an untrained critic of the configured size.
 pub(super) fn first_critic(config: &Config) -> CriticWeights {
     let layers = config.actor_critic.critic_layers;
     let seed = config.run.seed ^ CRITIC_SEED;

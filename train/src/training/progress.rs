@@ -1,4 +1,4 @@
-//! The line that says how far a stage is.
+//! The line of progress of a stage.
 
 use std::{fs, io::Write, time::Instant};
 
@@ -44,7 +44,7 @@ fn clock(seconds: f64) -> String {
     format!("{hours}:{minutes:02}:{:02}", seconds % 60)
 }
 
-/// Most memory used so far, where the system tells.
+/// Returns the most memory used so far, where the system knows it.
 fn memory() -> String {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

@@ -1,17 +1,19 @@
-//! What a generated dance is worth, code by code (paper Eq. 12-14, ARCHITECTURE section 6).
+//! Rewards of generated motion, code by code (paper Eq. 12-14, ARCHITECTURE section 6).
 
 use std::ops::Range;
 
 use bailando::{
     evaluation::{Pose, speed},
-    motion::{Positions, beat_meeting, beat_nearness, dance_beats, slow_share, smoothed},
+    motion::{
+        Positions, beat_align_score, dance_beats, mutual_beat_alignment, slow_share, smoothed,
+    },
 };
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::FRAMES_PER_CODE;
+use crate::data::FRAMES_PER_CODE;
 
-/// Frames per second of a dance.
+/// Frames per second of motion.
 const FPS: f64 = 60.0;
 
 /// SMPL joints that the consistency of the halves is read from.
@@ -20,31 +22,31 @@ const RIGHT_KNEE: usize = 5;
 const LEFT_COLLAR: usize = 13;
 const RIGHT_COLLAR: usize = 14;
 
-/// Which beat reward.
+/// The kinds of beat reward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BeatReward {
     /// Eq. 13: -1 for a code with a music beat but no dance beat, else 1.
     Paper,
-    /// Of the published program: 1 for a code with a music beat and a dance beat, else -1. Five
-    /// times this is its `(music beat x dance beat - 0.5) x 10`.
+    /// That of the published program: 1 for a code with a music beat and a dance beat, else -1.
+    /// Five times this is its `(music beat x dance beat - 0.5) x 10`.
     Reference,
-    /// Ours: the mean over the code's beats, those of the music and those of the dance, of their
-    /// nearness to the other's (the terms of Eq. 15), from -1 to 1; 0 for a code without any. Eight frames
-    /// are coarser than Eq. 15 is, and without the dance's beats more of them would pay.
+    /// Ours: the mean over the code's beats, of music and motion, of their nearness to the other's
+    /// beats (the terms of Eq. 15), from -1 to 1; 0 for a code without beats. Without the motion's
+    /// own beats in the mean, more of them would always pay.
     Align,
-    /// Ours, what Eq. 15 gives above its chance: the mean over the code's music beats of the dance's nearness to
-    /// them, less its mean over the frames that no other music beat is nearer to; 0 for a code without any. More beats
-    /// of the dance, wherever they are, gain nothing.
+    /// Ours, Eq. 15 above chance: the mean over the code's music beats of the motion's nearness to
+    /// them, less its mean over the frames to which no other music beat is nearer; 0 for a code
+    /// without music beats. More beats of the motion at random places gain nothing.
     Margin,
-    /// Ours: how well the smoothed speed goes with the music's pulse, slowest on its beats and fastest between
-    /// them. It is the correlation of the speed with minus the cosine of the place between two beats, of
-    /// which a code has the part of its frames: from -1 to 1 for a whole piece, 0 for frames outside the beats. Every
-    /// frame counts, where beats of the dance are found or lost; and a slower dance gains nothing.
+    /// Ours: how well the smoothed speed follows the music's pulse, slowest on the beats and
+    /// fastest between them. It is the correlation of the speed with minus the cosine of the place
+    /// between two beats; a code gets the part of its frames. From -1 to 1 for a whole piece, 0 for
+    /// frames outside the beats. Every frame counts, and slower motion gains nothing.
     Pulse,
 }
 
-/// How rewards are weighed: `beat_weight * R_b + consistency_weight * R_c` (Eq. 12).
+/// Weights of the rewards: `beat_weight * R_b + consistency_weight * R_c` (Eq. 12).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RewardRule {
     /// Which `R_b`.
@@ -53,11 +55,11 @@ pub struct RewardRule {
     pub beat_weight: f64,
     /// Weight of `R_c`.
     pub consistency_weight: f64,
-    /// What a code loses if all its frames are slow (METRICS.md), else their share of it: standing still
-    /// has no beat to miss.
+    /// Penalty of a code whose frames are all slow (METRICS.md), else their share of it: standing
+    /// still has no beat to miss.
     pub slow_weight: f64,
-    /// What a code gains for each metre per second of its frames' mean joint speed: where beats alone
-    /// count, a slow dance is safer.
+    /// Gain of a code for each metre per second of its frames' mean joint speed: where only beats
+    /// count, slow motion is safer.
     pub speed_weight: f64,
 }
 
@@ -66,19 +68,19 @@ pub struct RewardRule {
 pub struct Reward {
     /// The weighted sum.
     pub total: f64,
-    /// `R_b`: do the 8 frames follow the beat?
+    /// `R_b`: whether the 8 frames follow the beat.
     pub beat: f64,
-    /// `R_c` (Eq. 14): do both halves face the same way?
+    /// `R_c` (Eq. 14): whether both halves have one heading.
     pub consistency: f64,
 }
 
 impl RewardRule {
-    /// Rewards of the codes of a whole piece: 8 frames of world positions each, `music_beats` by
-    /// frame (frames beyond its end have none).
+    /// Computes the rewards of the codes of a whole piece: 8 frames of world positions each,
+    /// `music_beats` by frame (frames beyond its end have none).
     ///
     /// A dance beat is a minimum of smoothed speed, which reaches over 20 frames either way: it is
-    /// found in the whole piece, never in 8 frames by themselves. Both programs ask what the 8
-    /// frames hold, so beats need not fall on the same frame.
+    /// found in the whole piece, never in 8 frames alone. Both programs look at the 8 frames, so
+    /// beats need not fall on the same frame.
     #[must_use]
     pub fn rewards(&self, positions: &Positions, music_beats: &[bool]) -> Vec<Reward> {
         let poses = poses(positions);
@@ -117,7 +119,7 @@ impl RewardRule {
 }
 
 impl BeatReward {
-    /// Of the code of some frames, given all beats in ascending order.
+    /// Computes the reward of the code of some frames, given all beats in ascending order.
     fn of(self, music: &[usize], dance: &[usize], frames: Range<usize>) -> f64 {
         let within = |beats: &[usize]| beats.iter().any(|beat| frames.contains(beat));
         let (has_music, has_dance) = (within(music), within(dance));
@@ -125,18 +127,18 @@ impl BeatReward {
             Self::Paper => has_dance || !has_music,
             Self::Reference => has_dance && has_music,
             Self::Align => {
-                let meeting = beat_meeting(music, dance, frames);
+                let meeting = mutual_beat_alignment(music, dance, frames);
                 return meeting.map_or(0.0, |meeting| 2.0 * meeting - 1.0);
             }
             Self::Margin => return margin(music, dance, frames),
-            // Beats of the dance have no part in it.
+            // Computed from the speed, not from the motion's beats.
             Self::Pulse => return 0.0,
         };
         if good { 1.0 } else { -1.0 }
     }
 }
 
-/// See [`BeatReward::Margin`]. There must be two beats of the music to tell how far they are apart.
+/// See [`BeatReward::Margin`]. Two beats of the music are needed to know their distance.
 fn margin(music: &[usize], dance: &[usize], frames: Range<usize>) -> f64 {
     let of_beat = |place: usize| {
         let beat = *music.get(place)?;
@@ -146,7 +148,7 @@ fn margin(music: &[usize], dance: &[usize], frames: Range<usize>) -> f64 {
         // At either end of the music the other side's distance stands for both.
         let (before, after) = (before.or(after)?, after.or(before)?);
         let around: Vec<usize> = (beat.saturating_sub(before)..beat + after.max(1)).collect();
-        Some(beat_nearness(&[beat], dance) - beat_nearness(&around, dance))
+        Some(beat_align_score(&[beat], dance) - beat_align_score(&around, dance))
     };
     let first = music.partition_point(|&beat| beat < frames.start);
     let end = music.partition_point(|&beat| beat < frames.end);
@@ -154,7 +156,7 @@ fn margin(music: &[usize], dance: &[usize], frames: Range<usize>) -> f64 {
     mean(&margins)
 }
 
-/// Each frame's part in the correlation of smoothed speed and the music's pulse.
+/// Computes each frame's part in the correlation of smoothed speed and the music's pulse.
 fn pulse(music_beats: &[bool], speed: &[f64]) -> Vec<f64> {
     let smooth = smoothed(speed);
     let middle = mean(&smooth);
@@ -184,7 +186,7 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len().max(1) as f64
 }
 
-/// Eq. 14: the smallest product of the halves' facings over the frames where it is negative, else 1.
+/// Eq. 14: the smallest product of the halves' headings over the frames if it is negative, else 1.
 fn consistency(poses: &[Pose]) -> f64 {
     let products = poses.iter().map(facing_product);
     let smallest = products.fold(f64::INFINITY, f64::min);
@@ -223,6 +225,16 @@ fn poses(positions: &Positions) -> Vec<Pose> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn rule(beat: BeatReward, beat_weight: f64, consistency_weight: f64) -> RewardRule {
+        RewardRule {
+            beat,
+            beat_weight,
+            consistency_weight,
+            slow_weight: 0.0,
+            speed_weight: 0.0,
+        }
+    }
 
     /// An upright body, turned about y; the lower half turned further.
     fn pose(facing: f64, twist: f64) -> Pose {
@@ -320,7 +332,7 @@ mod tests {
         // Beats everywhere are on every beat, and gain nothing.
         let everywhere: Vec<usize> = (0..60).collect();
         assert!(margin(&everywhere).abs() < 1e-12);
-        // No music beat among the frames, or no other one that tells how far they are apart.
+        // No music beat among the frames, or no other one to measure the distance to.
         assert_eq!(BeatReward::Margin.of(&[10, 50], &[30], 24..32), 0.0);
         assert_eq!(BeatReward::Margin.of(&[30], &[30], 24..32), 0.0);
     }
@@ -351,13 +363,7 @@ mod tests {
             at.iter().for_each(|&frame| beats[frame] = true);
             beats
         };
-        let rule = RewardRule {
-            beat: BeatReward::Paper,
-            beat_weight: 5.0,
-            consistency_weight: 1.0,
-            slow_weight: 0.0,
-            speed_weight: 0.0,
-        };
+        let rule = rule(BeatReward::Paper, 5.0, 1.0);
         // Dance beats are in the codes of frames 20 (code 2), 60 (7), 100 (12) and 140 (17).
         let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
         assert_eq!(rewards.len(), 20);
@@ -367,13 +373,7 @@ mod tests {
             assert_eq!((reward.beat, reward.consistency), (beat, 1.0), "{code}");
             assert_eq!(reward.total, 5.0 * beat + 1.0);
         }
-        let rule = RewardRule {
-            beat: BeatReward::Reference,
-            beat_weight: 5.0,
-            consistency_weight: 0.0,
-            slow_weight: 0.0,
-            speed_weight: 0.0,
-        };
+        let rule = self::rule(BeatReward::Reference, 5.0, 0.0);
         let rewards = rule.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
         let good = rewards.iter().enumerate().filter(|(_, r)| r.total == 5.0);
         assert_eq!(good.map(|(code, _)| code).collect::<Vec<_>>(), [2, 7]);
@@ -395,13 +395,7 @@ mod tests {
 
     #[test]
     fn a_dance_that_is_slowest_on_the_beats_goes_with_the_pulse() {
-        let rule = RewardRule {
-            beat: BeatReward::Pulse,
-            beat_weight: 1.0,
-            consistency_weight: 0.0,
-            slow_weight: 0.0,
-            speed_weight: 0.0,
-        };
+        let rule = rule(BeatReward::Pulse, 1.0, 0.0);
         let positions = dance(200);
         // The speed is slowest at frames 20, 60, 100, ..; its smoothing mirrors the ends.
         let mean_reward = |first: usize| {

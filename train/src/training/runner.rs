@@ -3,69 +3,24 @@
 use std::{
     fs::{self, File, TryLockError},
     io::Write,
-    path::{Path, PathBuf},
+    path::Path,
     time::Instant,
 };
 
-use burn_tensor::Tensor as Device;
-
 use super::{
-    TrainError, TrainingConfig, config::RunConfig, keep::CHECKPOINT_FILE, metrics::Metrics,
-    plots::Plots, progress::Progress, saved::Saved, state::State,
+    error::TrainError,
+    kept::stage_folder,
+    metrics::Metrics,
+    plots::Plots,
+    progress::Progress,
+    state::State,
+    stop::StopFlag,
+    trainable::{StageSpec, TrainableStage},
 };
-use crate::nn::{Parameters, Store, Trainable};
-
-/// Prefix of the weights in a stage's checkpoint.
-pub(super) const WEIGHT: &str = "weight.";
+use crate::nn::Trainable;
 
 /// Held while a stage runs in its folder.
 const LOCK_FILE: &str = "lock";
-
-/// What a stage does in a step, and what it keeps beside weights.
-pub(super) trait Work<A: Trainable> {
-    /// Names of the metrics; the first is the loss.
-    const COLUMNS: &'static [&'static str];
-    /// Names of the metrics on the test split, the first is the loss that the best checkpoint is kept by; empty: none.
-    const TEST_COLUMNS: &'static [&'static str] = &[];
-    /// The loss to follow downhill, and the metrics, one number each.
-    fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A>;
-    /// How many earlier steps moved the weights that `step` moves: what Adam corrects its averages
-    /// for.
-    fn earlier_updates(&self, step: u64) -> u64 {
-        step
-    }
-    /// How fast the weights of this name learn, in units of the stage's rate; 0: they stay as they are, though the
-    /// loss may have a derivative for them.
-    fn rate_factor(&self, name: &str) -> f64 {
-        let _ = name;
-        1.0
-    }
-    /// The metrics on the test split, without derivatives, dropout or change of any state; `None` where there is no test split.
-    fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {
-        let _ = parameters;
-        None
-    }
-    /// Takes what it keeps beside weights into a checkpoint.
-    fn save(&self, saved: &mut Saved);
-    /// And back.
-    fn restore(&mut self, saved: &Saved) -> Result<(), String>;
-}
-
-pub(super) struct Losses<A: Trainable> {
-    pub(super) loss: Device<A, 1>,
-    pub(super) metrics: Vec<Device<A::InnerBackend, 1>>,
-}
-
-/// What a stage is called, how it is set, and where it starts.
-pub(super) struct Plan<'a> {
-    pub(super) name: &'static str,
-    pub(super) run: &'a RunConfig,
-    pub(super) training: &'a TrainingConfig,
-    /// All settings that the result depends on.
-    pub(super) settings: String,
-    pub(super) store: Store,
-    pub(super) windows: usize,
-}
 
 /// When to pause before the end.
 #[derive(Clone, Copy, Debug, Default)]
@@ -74,6 +29,16 @@ pub struct Limits {
     pub seconds: Option<f64>,
     /// After so many steps.
     pub steps: Option<u64>,
+    /// When this is raised.
+    pub stop: Option<&'static StopFlag>,
+}
+
+impl Limits {
+    fn are_reached(&self, seconds: f64, steps: u64) -> bool {
+        self.steps.is_some_and(|most| steps >= most)
+            || self.seconds.is_some_and(|most| seconds >= most)
+            || self.stop.is_some_and(StopFlag::is_requested)
+    }
 }
 
 /// How a stage ended.
@@ -81,65 +46,52 @@ pub struct Limits {
 pub enum Outcome {
     /// All steps are done.
     Finished,
-    /// A limit was reached; the same command goes on.
+    /// A limit was reached; the same command resumes.
     Paused,
 }
 
-/// The folder of a stage.
-pub(super) fn stage_folder(run: &RunConfig, stage: &str) -> PathBuf {
-    run.folder.join(stage)
-}
-
-/// The checkpoint of a stage.
-pub(super) fn checkpoint_path(run: &RunConfig, stage: &str) -> PathBuf {
-    stage_folder(run, stage).join(CHECKPOINT_FILE)
-}
-
-/// Runs a stage from its checkpoint, or from the plan's weights, to its end or a limit.
-pub(super) fn run<A: Trainable, W: Work<A>>(
-    plan: &Plan<'_>,
-    work: &mut W,
+/// Runs a stage from its checkpoint, or from its first weights, to its end or a limit.
+pub(super) fn run<A: Trainable, S: TrainableStage<A>>(
+    spec: &StageSpec<'_>,
+    stage: &mut S,
     device: &A::Device,
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
-    let folder = stage_folder(plan.run, plan.name);
+    let folder = stage_folder(spec.run, spec.name);
     fs::create_dir_all(&folder).map_err(TrainError::file(&folder))?;
     let _lock = lock(&folder)?;
-    let mut state = State::<A>::start(plan, work, device, &folder)?;
-    let (columns, test_columns) = (W::COLUMNS, W::TEST_COLUMNS);
+    let mut state = State::<A>::start(spec, stage, device, &folder)?;
     let path = folder.join("metrics.csv");
-    let metrics = Metrics::open(path, columns, test_columns, state.step)?;
-    let total = plan.training.total_steps(plan.windows);
+    let metrics = Metrics::open(path, S::COLUMNS, S::TEST_COLUMNS, state.step)?;
+    let total = spec.training.total_steps(spec.windows);
     let first_step = state.step;
-    let mut journal = Journal {
+    let mut logger = MetricsLogger {
         total,
         metrics,
-        progress: Progress::start(plan.name, first_step, total),
+        progress: Progress::start(spec.name, first_step, total),
         output,
     };
-    let mut plots = Plots::new(folder, plan.name);
+    let mut plots = Plots::new(folder, spec.name);
     let mut saved_at = Instant::now();
+    let _heeded = limits.stop.map(StopFlag::heeded);
     while state.step < total {
         let step = state.step;
         A::seed(
             device,
-            plan.run.seed ^ step.wrapping_mul(0x9E37_79B9_7F4A_7C15),
+            spec.run.seed ^ step.wrapping_mul(0x9E37_79B9_7F4A_7C15),
         );
-        let rate = plan.training.rate_at(step, total);
-        state.advance(plan.training, work, rate);
-        journal.report(plan, work, &mut state)?;
+        let rate = spec.training.rate_at(step, total);
+        state.advance(spec.training, stage, rate);
+        logger.report(spec, stage, &mut state)?;
         let done = state.step;
-        let paused = limits.steps.is_some_and(|most| done - first_step >= most)
-            || limits
-                .seconds
-                .is_some_and(|most| journal.progress.seconds() >= most);
+        let paused = limits.are_reached(logger.progress.seconds(), done - first_step);
         let stops = done == total || paused;
-        if stops || saved_at.elapsed().as_secs_f64() >= plan.run.checkpoint_seconds {
-            journal.metrics.sync()?;
-            // Last of all the checkpoint: once it says that the stage is finished, nothing is done again.
-            plots.draw(stops, journal.output);
-            state.save(plan, work, total)?;
+        if stops || saved_at.elapsed().as_secs_f64() >= spec.run.checkpoint_seconds {
+            logger.metrics.sync()?;
+            // The checkpoint comes last: once it has all steps, nothing is repeated.
+            plots.draw(stops, logger.output);
+            state.save(spec, stage)?;
             saved_at = Instant::now();
         }
         if paused && done < total {
@@ -162,8 +114,8 @@ fn lock(folder: &Path) -> Result<File, TrainError> {
     }
 }
 
-/// Where a stage tells how far it is.
-struct Journal<'a, O> {
+/// Writes metrics and progress of a stage.
+struct MetricsLogger<'a, O> {
     /// Steps of the whole stage.
     total: u64,
     metrics: Metrics,
@@ -171,30 +123,29 @@ struct Journal<'a, O> {
     output: &'a mut O,
 }
 
-impl<O: Write> Journal<'_, O> {
-    /// What there is to say about the last step: a test, a line of metrics, a line of progress.
-    fn report<A: Trainable, W: Work<A>>(
+impl<O: Write> MetricsLogger<'_, O> {
+    /// Reports the last step where it is due: a test, a line of metrics, a line of progress.
+    fn report<A: Trainable, S: TrainableStage<A>>(
         &mut self,
-        plan: &Plan<'_>,
-        work: &W,
+        spec: &StageSpec<'_>,
+        stage: &S,
         state: &mut State<A>,
     ) -> Result<(), TrainError> {
-        let (done, run) = (state.step, plan.run);
+        let (done, run) = (state.step, spec.run);
         let due = |every: u64| every > 0 && (done.is_multiple_of(every) || done == self.total);
-        let test_due = due(run.test_steps) && !W::TEST_COLUMNS.is_empty();
+        let test_due = due(run.test_steps) && !S::TEST_COLUMNS.is_empty();
         if !test_due && !due(run.log_steps) {
             return Ok(());
         }
-        let means = state.means::<W>(plan.name)?;
-        let tests = if test_due {
-            state.test(plan, work)?
-        } else {
-            None
+        let means = state.means::<S>(spec.name)?;
+        let tests = match test_due {
+            true => state.test(spec, stage)?,
+            false => None,
         };
-        let rate = plan.training.rate_at(done - 1, self.total);
+        let rate = spec.training.rate_at(done - 1, self.total);
         self.metrics.append(done, rate, &means, tests.as_deref())?;
         let mut losses = format!("loss {:.5}", means.first().unwrap_or(&f32::NAN));
-        for (column, value) in W::TEST_COLUMNS.iter().zip(tests.iter().flatten()) {
+        for (column, value) in S::TEST_COLUMNS.iter().zip(tests.iter().flatten()) {
             losses.push_str(&format!("  {column} {value:.5}"));
         }
         if let Some(best) = state.best.filter(|_| tests.is_some()) {

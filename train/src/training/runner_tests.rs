@@ -7,12 +7,17 @@ use burn_flex::{Flex, FlexDevice};
 use burn_tensor::Tensor;
 
 use super::{
-    Config, Keep, Limits, Outcome, Stage, TrainError,
-    keep::{is_finished, kept_path, settings},
-    runner::{Losses, Plan, Work, checkpoint_path, run},
-    saved::Saved,
+    checkpoint::Checkpoint,
+    config::{CheckpointPolicy, Config},
+    error::TrainError,
+    frozen::Halves,
+    identity::{Identity, is_finished},
+    kept::{checkpoint_path, kept_path},
+    runner::{Limits, Outcome, run},
+    stage::Stage,
+    stop::StopFlag,
+    trainable::{Losses, StageSpec, TrainableStage},
     velocity::Decoders,
-    vqvae::Halves,
 };
 use crate::nn::{Parameters, Store};
 
@@ -22,13 +27,13 @@ const STEPS: u64 = 40;
 
 #[derive(Clone, Copy, Default)]
 struct Walk {
-    /// Step whose derivative is no number although its loss is one.
+    /// Step with a finite loss whose derivative is NaN.
     spoiled: Option<u64>,
     no_test_split: bool,
     test_fails: bool,
 }
 
-impl Work<Traced> for Walk {
+impl TrainableStage<Traced> for Walk {
     const COLUMNS: &'static [&'static str] = &["loss"];
     const TEST_COLUMNS: &'static [&'static str] = &["test_loss", "test_place"];
 
@@ -50,12 +55,6 @@ impl Work<Traced> for Walk {
             (place - 2.0).abs()
         };
         (!self.no_test_split).then(|| vec![loss, place])
-    }
-
-    fn save(&self, _saved: &mut Saved) {}
-
-    fn restore(&mut self, _saved: &Saved) -> Result<(), String> {
-        Ok(())
     }
 }
 
@@ -80,20 +79,24 @@ fn first_store(config: &Config) -> Store {
 }
 
 /// Walks as the stage `vqvae` would train.
-fn walk(config: &Config, mut work: Walk, steps: Option<u64>) -> Result<Outcome, TrainError> {
-    let plan = Plan {
+fn walk(config: &Config, walk: Walk, steps: Option<u64>) -> Result<Outcome, TrainError> {
+    let limits = Limits {
+        steps,
+        ..Limits::default()
+    };
+    walk_to(config, walk, limits)
+}
+
+fn walk_to(config: &Config, mut walk: Walk, limits: Limits) -> Result<Outcome, TrainError> {
+    let spec = StageSpec {
         name: "vqvae",
         run: &config.run,
         training: &config.vqvae.training,
-        settings: settings(config, Stage::VqVae)?,
+        identity: Identity::without_data(config, Stage::VqVae)?,
         store: first_store(config),
         windows: 1,
     };
-    let limits = Limits {
-        steps,
-        seconds: None,
-    };
-    run::<Traced, _>(&plan, &mut work, &FlexDevice, limits, &mut Vec::new())
+    run::<Traced, _>(&spec, &mut walk, &FlexDevice, limits, &mut Vec::new())
 }
 
 fn file(config: &Config, name: &str) -> Vec<u8> {
@@ -157,18 +160,20 @@ fn tests_have_lines_and_the_best_weights_are_kept() {
     let (value, step) = best.unwrap();
     assert!(step < STEPS && value < measured[5].0, "{measured:?}");
     let path = |name| folder.path().join("vqvae").join(name);
-    let saved = Saved::read(&path("best.safetensors")).unwrap().unwrap();
-    let store = first_store(&config);
-    let (name, _) = &store.entries()[0];
-    let kept = saved.tensor(&format!("weight.{name}")).unwrap().data();
-    let place = kept.iter().sum::<f32>() / kept.len() as f32;
-    assert!(((place - 2.0).abs() - value).abs() < 1e-5);
-    let last = Saved::read(&path("checkpoint.safetensors"))
+    let checkpoint = Checkpoint::read(&path("best.safetensors"))
         .unwrap()
         .unwrap();
-    for saved in [saved, last] {
-        assert_eq!(saved.fact("best_step"), step.to_string());
-        assert_eq!(saved.fact("best"), value.to_string());
+    let store = first_store(&config);
+    let (name, _) = &store.entries()[0];
+    let kept = checkpoint.tensor(&format!("weight.{name}")).unwrap().data();
+    let place = kept.iter().sum::<f32>() / kept.len() as f32;
+    assert!(((place - 2.0).abs() - value).abs() < 1e-5);
+    let last = Checkpoint::read(&path("checkpoint.safetensors"))
+        .unwrap()
+        .unwrap();
+    for checkpoint in [checkpoint, last] {
+        assert_eq!(checkpoint.fact("best_step"), step.to_string());
+        assert_eq!(checkpoint.fact("best"), value.to_string());
     }
 }
 
@@ -186,7 +191,7 @@ fn a_broken_run_ends_as_an_undisturbed_one() {
         walk(&broken, Walk::default(), Some(25)).unwrap(),
         Outcome::Paused
     );
-    // Killed now, if its checkpoints were rarer: lines and best weights are ahead of the checkpoint.
+    // As if killed between checkpoints: lines and best weights are ahead of the checkpoint.
     fs::write(checkpoint_path(&broken.run, "vqvae"), checkpoint).unwrap();
     fs::write(broken.run.folder.join("vqvae/best.partial"), b"half").unwrap();
     assert_eq!(
@@ -205,12 +210,59 @@ fn a_broken_run_ends_as_an_undisturbed_one() {
 }
 
 #[test]
+fn a_finished_stage_can_be_lengthened_but_not_shortened() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path());
+    let finished = |config: &Config| is_finished(config, Stage::VqVae);
+    walk(&config, Walk::default(), None).unwrap();
+    assert!(finished(&config).unwrap());
+    config.vqvae.training.steps = STEPS + 10;
+    assert!(!finished(&config).unwrap());
+    assert_eq!(
+        walk(&config, Walk::default(), None).unwrap(),
+        Outcome::Finished
+    );
+    assert!(finished(&config).unwrap());
+    let steps: Vec<u64> = tests(&config).iter().map(|line| line.0).collect();
+    assert_eq!(steps[..2], [5, 7]);
+    assert_eq!(steps[steps.len() - 2..], [49, 50]);
+    config.vqvae.training.steps = STEPS;
+    for refused in [
+        finished(&config).unwrap_err(),
+        walk(&config, Walk::default(), None).unwrap_err(),
+    ] {
+        let message = refused.to_string();
+        assert!(
+            message.contains("has done 50 steps, more than the 40"),
+            "{message}"
+        );
+    }
+}
+
+#[test]
+fn a_raised_flag_stops_with_a_checkpoint() {
+    static STOP: StopFlag = StopFlag::new();
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(folder.path());
+    config.run.checkpoint_seconds = 1e9;
+    STOP.request();
+    let limits = Limits {
+        stop: Some(&STOP),
+        ..Limits::default()
+    };
+    let outcome = walk_to(&config, Walk::default(), limits);
+    assert_eq!(outcome.unwrap(), Outcome::Paused);
+    let checkpoint = Checkpoint::read(&checkpoint_path(&config.run, "vqvae"));
+    assert_eq!(checkpoint.unwrap().unwrap().fact("step"), "1");
+}
+
+#[test]
 fn values_that_are_no_numbers_stop_the_run_and_are_not_kept() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     let step = || {
-        let saved = Saved::read(&checkpoint_path(&config.run, "vqvae"));
-        saved.unwrap().unwrap().fact("step").to_owned()
+        let checkpoint = Checkpoint::read(&checkpoint_path(&config.run, "vqvae"));
+        checkpoint.unwrap().unwrap().fact("step").to_owned()
     };
     let spoiled = Walk {
         spoiled: Some(11),
@@ -247,7 +299,8 @@ fn values_that_are_no_numbers_stop_the_run_and_are_not_kept() {
 fn the_weights_asked_for_are_used() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(folder.path());
-    let last_settings = settings(&config, Stage::VqVae).unwrap();
+    let identity = |config: &Config, stage| Identity::without_data(config, stage).unwrap();
+    let last = identity(&config, Stage::VqVae);
     let name = |config: &Config| {
         let path = kept_path(config, Stage::VqVae);
         path.map(|path| path.file_name().unwrap().to_owned())
@@ -261,12 +314,12 @@ fn the_weights_asked_for_are_used() {
     walk(&config, Walk::default(), None).unwrap();
     assert!(is_finished(&config, Stage::VqVae).unwrap());
     assert_eq!(name(&config).unwrap(), "checkpoint.safetensors");
-    let on_last = settings(&config, Stage::Gpt).unwrap();
-    config.vqvae.keep = Keep::Best;
+    let on_last = identity(&config, Stage::Gpt);
+    config.vqvae.checkpoint_policy = CheckpointPolicy::Best;
     assert_eq!(name(&config).unwrap(), "best.safetensors");
     // The stage itself is as it was; what is built on it is not.
-    assert_eq!(settings(&config, Stage::VqVae).unwrap(), last_settings);
-    assert_ne!(settings(&config, Stage::Gpt).unwrap(), on_last);
+    assert_eq!(identity(&config, Stage::VqVae), last);
+    assert_ne!(identity(&config, Stage::Gpt), on_last);
     config.vqvae.codes += 1;
     assert!(matches!(
         is_finished(&config, Stage::VqVae),
@@ -278,7 +331,7 @@ fn the_weights_asked_for_are_used() {
 fn without_a_test_split_the_last_weights_are_used() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(folder.path());
-    config.vqvae.keep = Keep::Best;
+    config.vqvae.checkpoint_policy = CheckpointPolicy::Best;
     let work = Walk {
         no_test_split: true,
         ..Walk::default()

@@ -1,31 +1,32 @@
-//! Codes of whole pieces from the policy as it stands, many pieces side by side.
+//! Sampling of whole pieces from the policy as it stands, many pieces side by side.
 
-use burn_tensor::{Int, Tensor as Device, TensorData};
+use burn_tensor::{Int, Tensor};
 use ndarray::ArrayView2;
 use rand_chacha::{ChaCha8Rng, rand_core::Rng};
 use rayon::prelude::*;
 
-use crate::nn::{GptNet, Kernels, Memory, Parameters, values};
+use crate::nn::{self, GptNet, Kernels, KvCache, Parameters, gathered, numbers, values};
 
 /// A piece to be generated.
-pub(super) struct Wish<'a> {
+pub(super) struct SamplingRequest<'a> {
     /// Scaled music; row `k + 1` is beside code `k`, so there is one row more than codes.
     pub(super) music: ArrayView2<'a, f32>,
     /// Upper and lower code to start from.
     pub(super) start: [i32; 2],
-    /// The piece's own random numbers: it comes out the same beside any other pieces.
+    /// The piece's own random numbers: it is the same beside any other pieces.
     pub(super) random: ChaCha8Rng,
 }
 
-impl<'a> Wish<'a> {
-    /// A piece that starts with one of `starts`.
+impl<'a> SamplingRequest<'a> {
+    /// Requests a piece that starts with one of `starts`.
     pub(super) fn new(
         music: ArrayView2<'a, f32>,
         starts: &[[u32; 2]],
         mut random: ChaCha8Rng,
     ) -> Self {
         let start = (unit(&mut random) * starts.len() as f64) as usize;
-        let start = starts.get(start).copied().unwrap_or_default();
+        // Without starts every code is as good as the first.
+        let start = starts.get(start).copied().unwrap_or([0; 2]);
         Self {
             music,
             start: start.map(|code| code as i32),
@@ -34,7 +35,7 @@ impl<'a> Wish<'a> {
     }
 }
 
-/// How codes are drawn.
+/// Draws codes from the policy.
 pub(super) struct Sampler<'a, B: Kernels> {
     pub(super) net: &'a GptNet,
     pub(super) parameters: &'a Parameters<B>,
@@ -43,35 +44,34 @@ pub(super) struct Sampler<'a, B: Kernels> {
 }
 
 impl<B: Kernels> Sampler<'_, B> {
-    /// The codes of each piece. Histories slide as in ARCHITECTURE section 3 with `s = 28`: every
-    /// step sees the last 28 codes re-indexed from position 0. What they gave is remembered until they
-    /// slide; from there on all is computed anew each step, and pieces side by side keep the device busy.
-    pub(super) fn generate(&self, mut wishes: Vec<Wish<'_>>) -> Vec<[Vec<i32>; 2]> {
-        let mut pieces: Vec<[Vec<i32>; 2]> = wishes
+    /// Generates the codes of each piece. Histories slide as in ARCHITECTURE section 3 with `s =
+    /// 28`: every step sees the last 28 codes re-indexed from position 0. Keys and values are
+    /// cached until the histories slide; from then on every step computes its whole window, and
+    /// pieces side by side keep the device busy.
+    pub(super) fn generate(&self, mut requests: Vec<SamplingRequest<'_>>) -> Vec<[Vec<i32>; 2]> {
+        let mut pieces: Vec<[Vec<i32>; 2]> = requests
             .iter()
-            .map(|wish| wish.start.map(|code| vec![code]))
+            .map(|request| request.start.map(|code| vec![code]))
             .collect();
-        let longest = wishes
+        let longest = requests
             .iter()
-            .map(|wish| wish.music.nrows())
+            .map(|request| request.music.nrows())
             .max()
             .unwrap_or(0);
-        let mut memory = self
-            .net
-            .memory()
-            .map(|memory| (memory, (0..wishes.len()).collect()));
+        let cache = self.net.empty_cache();
+        let mut cache = cache.map(|cache| (cache, (0..requests.len()).collect()));
         for known in 1..longest.saturating_sub(1) {
-            let unfinished: Vec<usize> = (0..wishes.len())
-                .filter(|&piece| known + 1 < wishes[piece].music.nrows())
+            let unfinished: Vec<usize> = (0..requests.len())
+                .filter(|&piece| known + 1 < requests[piece].music.nrows())
                 .collect();
             if known >= self.net.block() {
-                memory = None;
+                cache = None;
             }
-            let logits = match &mut memory {
-                Some(memory) => self.extended(memory, &wishes, &pieces, &unfinished),
-                None => self.logits(&wishes, &pieces, &unfinished, known),
+            let logits = match &mut cache {
+                Some(cache) => self.extended(cache, &requests, &pieces, &unfinished),
+                None => self.logits(&requests, &pieces, &unfinished, known),
             };
-            let drawn = self.drawn(&logits, &mut wishes, &unfinished);
+            let drawn = self.drawn(&logits, &mut requests, &unfinished);
             for (&piece, codes) in unfinished.iter().zip(drawn) {
                 let halves = pieces[piece].iter_mut().zip(codes);
                 halves.for_each(|(half, code)| half.push(code));
@@ -80,18 +80,18 @@ impl<B: Kernels> Sampler<'_, B> {
         pieces
     }
 
-    /// The next upper and lower code of the given pieces, each by its own random numbers.
+    /// Draws the next upper and lower code of the given pieces, each by its own random numbers.
     fn drawn(
         &self,
         logits: &[Vec<f32>; 2],
-        wishes: &mut [Wish<'_>],
+        requests: &mut [SamplingRequest<'_>],
         unfinished: &[usize],
     ) -> Vec<[i32; 2]> {
         let (temperature, one_code) = (self.temperature, self.net.has_one_code());
-        let pieces = wishes.iter_mut().enumerate();
+        let pieces = requests.iter_mut().enumerate();
         let mut pieces: Vec<&mut ChaCha8Rng> = pieces
             .filter(|(piece, _)| unfinished.binary_search(piece).is_ok())
-            .map(|(_, wish)| &mut wish.random)
+            .map(|(_, request)| &mut request.random)
             .collect();
         let count = pieces.len();
         let drawn = pieces.par_iter_mut().enumerate().map(|(place, random)| {
@@ -109,24 +109,29 @@ impl<B: Kernels> Sampler<'_, B> {
         drawn.collect()
     }
 
-    /// Pieces of vectors in place of codes, from their first vectors on: what the network gives is
-    /// taken, nothing is drawn.
+    /// Generates pieces of vectors in place of codes, from their first vectors on: the network's
+    /// output is taken as it is, nothing is drawn.
     pub(super) fn regress(
         &self,
-        wishes: &[Wish<'_>],
+        requests: &[SamplingRequest<'_>],
         mut pieces: Vec<[Vec<f32>; 2]>,
     ) -> Vec<[Vec<f32>; 2]> {
-        for (wish, piece) in wishes.iter().zip(&mut pieces) {
+        for (request, piece) in requests.iter().zip(&mut pieces) {
             let channels = piece[0].len();
-            for known in 1..wish.music.nrows().saturating_sub(1) {
+            for known in 1..request.music.nrows().saturating_sub(1) {
                 let window = known.min(self.net.block() - 1);
                 let first = known - window;
                 let device = self.parameters.device();
-                let rows = wish.music.rows().into_iter().skip(first + 1).take(window);
+                let rows = request
+                    .music
+                    .rows()
+                    .into_iter()
+                    .skip(first + 1)
+                    .take(window);
                 let rows: Vec<f32> = rows.flatten().copied().collect();
                 let tensor = |values: Vec<f32>| {
                     let shape = [1, window, values.len() / window];
-                    Device::<B, 3>::from_data(TensorData::new(values, shape), device)
+                    numbers::<B, 3>(values, shape, device)
                 };
                 let history =
                     [0, 1].map(|half: usize| tensor(piece[half][first * channels..].to_vec()));
@@ -141,42 +146,42 @@ impl<B: Kernels> Sampler<'_, B> {
         pieces
     }
 
-    /// Scores of the next code of the given pieces, one after the other; `memory` holds all codes but
-    /// their last of those pieces that it names, and then of the given ones.
+    /// Computes the scores of the next code of the given pieces, one after the other. The cache
+    /// holds all codes but the last of the pieces that it lists, and afterwards those of the given
+    /// ones.
     fn extended(
         &self,
-        (memory, remembered): &mut (Memory<B>, Vec<usize>),
-        wishes: &[Wish<'_>],
+        (cache, cached): &mut (KvCache<B>, Vec<usize>),
+        requests: &[SamplingRequest<'_>],
         pieces: &[[Vec<i32>; 2]],
         unfinished: &[usize],
     ) -> [Vec<f32>; 2] {
         let device = self.parameters.device();
-        if remembered != unfinished {
-            let places = (0..).zip(remembered.iter());
+        if cached != unfinished {
+            let places = (0..).zip(cached.iter());
             let places = places.filter(|(_, piece)| unfinished.contains(piece));
             let places: Vec<i32> = places.map(|(place, _)| place).collect();
             let length = places.len();
-            let places = Device::from_data(TensorData::new(places, [length]), device);
-            *memory = memory.clone().of(&places);
-            unfinished.clone_into(remembered);
+            *cache = cache.clone().of(&nn::codes(places, [length], device));
+            unfinished.clone_into(cached);
         }
         let newest: Vec<_> = unfinished
             .iter()
             .map(|&piece| Window {
-                music: wishes[piece].music,
+                music: requests[piece].music,
                 codes: &pieces[piece],
                 first: pieces[piece][0].len() - 1,
             })
             .collect();
         let (music, codes) = inputs(&newest, 1, device);
-        let logits = self.net.extend(self.parameters, memory, music, codes);
+        let logits = self.net.extend(self.parameters, cache, music, codes);
         [logits.upper, logits.lower].map(|logits| values(&logits))
     }
 
-    /// Scores of code `known` of the given pieces, one after the other.
+    /// Computes the scores of code `known` of the given pieces, one after the other.
     fn logits(
         &self,
-        wishes: &[Wish<'_>],
+        requests: &[SamplingRequest<'_>],
         pieces: &[[Vec<i32>; 2]],
         unfinished: &[usize],
         known: usize,
@@ -186,7 +191,7 @@ impl<B: Kernels> Sampler<'_, B> {
         let excerpts: Vec<_> = unfinished
             .iter()
             .map(|&piece| Window {
-                music: wishes[piece].music,
+                music: requests[piece].music,
                 codes: &pieces[piece],
                 first,
             })
@@ -205,33 +210,25 @@ pub(super) struct Window<'a> {
     pub(super) first: usize,
 }
 
-/// Music and codes of windows of `steps` codes, as the network takes them.
+/// Gathers music and codes of windows of `steps` codes, as the network takes them.
 pub(super) fn inputs<B: Kernels>(
     windows: &[Window<'_>],
     steps: usize,
     device: &B::Device,
-) -> (Device<B, 3>, [Device<B, 2, Int>; 2]) {
+) -> (Tensor<B, 3>, [Tensor<B, 2, Int>; 2]) {
     let columns = windows.first().map_or(0, |window| window.music.ncols());
-    let mut rows: Vec<f32> = Vec::with_capacity(windows.len() * steps * columns);
-    for window in windows {
-        let beside = window.first + 1..window.first + 1 + steps;
-        beside.for_each(|row| rows.extend(window.music.row(row)));
-    }
-    let music = Device::from_data(
-        TensorData::new(rows, [windows.len(), steps, columns]),
-        device,
-    );
+    let row = |window: &Window<'_>, step: usize| window.music.row(window.first + 1 + step).to_vec();
+    let music = gathered(windows, [steps, columns], row, device);
+    let count = windows.len();
     let codes = [0, 1].map(|half| {
-        let codes = windows
-            .iter()
-            .flat_map(|window| &window.codes[half][window.first..][..steps]);
-        let codes: Vec<i32> = codes.copied().collect();
-        Device::from_data(TensorData::new(codes, [windows.len(), steps]), device)
+        let windows = windows.iter();
+        let codes = windows.flat_map(|window| &window.codes[half][window.first..][..steps]);
+        nn::codes(codes.copied(), [count, steps], device)
     });
     (music, codes)
 }
 
-/// A code by its score; the first of the highest at temperature 0.
+/// Draws a code by its score; the first of the highest at temperature 0.
 fn draw(logits: &[f32], temperature: f64, random: &mut ChaCha8Rng) -> usize {
     let better = |best: usize, code: usize| {
         if logits[code] > logits[best] {
@@ -258,7 +255,7 @@ fn draw(logits: &[f32], temperature: f64, random: &mut ChaCha8Rng) -> usize {
     (0..logits.len()).find(reached).unwrap_or(best)
 }
 
-/// In `[0, 1)`.
+/// Returns a number in `[0, 1)`.
 pub(super) fn unit(random: &mut ChaCha8Rng) -> f64 {
     // The upper 53 bits are what a double holds.
     (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
@@ -273,7 +270,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        checkpoint::Checkpoint,
+        checkpoint::TorchCheckpoint,
         nn::{GptSizes, Store, random_gpt},
         training::windows::generator,
         weights::GptWeights,
@@ -291,7 +288,7 @@ mod tests {
 
     #[test]
     fn the_most_likely_codes_are_the_golden_ones() {
-        let mut checkpoint = Checkpoint::open(&fixture("tiny_gpt.pt")).unwrap();
+        let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_gpt.pt")).unwrap();
         let weights = GptWeights::from_checkpoint(&mut checkpoint, 4).unwrap();
         let mut store = Store::default();
         let net = GptNet::new(&weights, &mut store);
@@ -303,14 +300,14 @@ mod tests {
         let music: Array2<f32> = ndarray_npy::read_npy(fixture("music.npy")).unwrap();
         let start = golden_codes("start_codes.npy");
         let start = [start[0], start[1]];
-        // Shorter pieces beside it end earlier, with the memory and after it, and are the same as far as
-        // they go.
-        let wish = |rows: usize| Wish {
+        // Shorter pieces beside it end earlier, with the cache and after it, and have the same
+        // codes.
+        let request = |rows: usize| SamplingRequest {
             music: music.slice_axis(Axis(0), Slice::from(..rows)),
             start,
             random: generator(1, 2),
         };
-        let pieces = sampler.generate(vec![wish(20), wish(60), wish(35)]);
+        let pieces = sampler.generate(vec![request(20), request(60), request(35)]);
         for (half, name) in ["codes_slide_up.npy", "codes_slide_down.npy"]
             .into_iter()
             .enumerate()
@@ -323,7 +320,7 @@ mod tests {
     }
 
     /// A piece that fits into the window: each vector is what the network gives after those before
-    /// it, which one pass over the whole piece tells for all at once.
+    /// it, which one pass over the whole piece computes for all at once.
     #[test]
     fn vectors_follow_those_before_them() {
         const STEPS: usize = 5;
@@ -345,16 +342,16 @@ mod tests {
             parameters,
             temperature: 1.0,
         };
-        let wish = Wish {
+        let request = SamplingRequest {
             music: music.view(),
             start: [0, 0],
             random: generator(1, 2),
         };
         let start = [vec![1.0, -2.0, 0.5], vec![0.3, 0.0, 4.0]];
-        let piece = &sampler.regress(&[wish], vec![start.clone()])[0];
+        let piece = &sampler.regress(&[request], vec![start.clone()])[0];
         let tensor = |values: &[f32], columns| {
             let shape = [1, STEPS, columns];
-            Device::<Flex, 3>::from_data(TensorData::new(values.to_vec(), shape), &FlexDevice)
+            numbers::<Flex, 3>(values.to_vec(), shape, &FlexDevice)
         };
         // Row 1 is beside the first vector.
         let rows: Vec<f32> = music.iter().skip(2).take(2 * STEPS).copied().collect();

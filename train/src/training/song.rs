@@ -1,4 +1,4 @@
-//! The music that a policy dances to: no dance is needed.
+//! The songs that a policy generates motion for: no recording is needed.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -7,11 +7,11 @@ use ndarray::Array2;
 use rayon::prelude::*;
 
 use super::{
-    FRAMES_PER_CODE, TrainError,
     config::DataConfig,
+    error::TrainError,
     songs::{feature_cache, music_library},
 };
-use crate::data::{DataError, FPS, MusicLibrary, MusicSource, Portion, Training};
+use crate::data::{DataError, FPS, FRAMES_PER_CODE, MusicLibrary, MusicSource, Portion, Training};
 
 /// A song's features, and where its beats are.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,8 +23,9 @@ pub struct Song {
 }
 
 impl Song {
-    /// Features and beats of a song. Beats are those that the data tell, in seconds; where they tell none, column 53
-    /// of its features at 60 rows a second (ARCHITECTURE section 7), which may hold every other one or lie beside them.
+    /// Reads features and beats of a song. The beats are those of the data, in seconds; without
+    /// any, those of column 53 of the features at 60 rows a second (ARCHITECTURE section 7), which
+    /// may have every other beat alone, or lie beside the beats.
     fn read(
         music: &MusicSource,
         told: &[f64],
@@ -42,7 +43,7 @@ impl Song {
     }
 }
 
-/// Whether there is a beat, for each of so many frames.
+/// Returns whether there is a beat, for each frame.
 fn beats_by_frame(beats_s: &[f64], frames: usize) -> Vec<bool> {
     let mut beats = vec![false; frames];
     for beat in beats_s {
@@ -55,7 +56,7 @@ fn beats_by_frame(beats_s: &[f64], frames: usize) -> Vec<bool> {
     beats
 }
 
-/// An audio file that a policy is to adapt to.
+/// Reads an audio file that a policy adapts to.
 ///
 /// # Errors
 /// [`TrainError`] names what is wrong with it.
@@ -68,14 +69,14 @@ pub fn target_song(data: &DataConfig, path: &Path) -> Result<Song, TrainError> {
     )?)
 }
 
-/// Every song of the training split, once.
+/// Reads every song of the training split, once.
 pub(super) fn training_songs(
     data: &DataConfig,
     portion: &Portion<Training>,
 ) -> Result<Vec<Song>, TrainError> {
     let cache = feature_cache(data)?;
     let library = || music_library(data, cache.clone());
-    let songs = portion.dances().iter().flat_map(|dance| dance.songs());
+    let songs = portion.recordings().iter().flat_map(|dance| dance.songs());
     let music: BTreeMap<&MusicSource, &[f64]> = songs
         .filter_map(|song| Some((song.music.as_ref()?, song.grid_beats_s.as_slice())))
         .collect();
@@ -84,7 +85,7 @@ pub(super) fn training_songs(
         .map_init(library, |library, (music, told)| {
             Song::read(music, told, library)
         });
-    // The first that fails is told of, whichever was read first.
+    // The first in order that fails is reported, whichever was read first.
     let songs: Vec<Result<_, DataError>> = songs.collect();
     Ok(songs.into_iter().collect::<Result<_, _>>()?)
 }

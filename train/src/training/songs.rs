@@ -6,10 +6,34 @@ use std::{
     sync::Arc,
 };
 
+use ndarray::Array2;
 use rayon::prelude::*;
 
-use super::{TrainError, config::DataConfig, input::SongRows};
+use super::{config::DataConfig, error::TrainError};
 use crate::data::{DataError, FeatureCache, MusicLibrary, MusicSource};
+
+/// Conditioning rows of a song, row `k` at frame `8 k`, for each start phase from 0 on.
+#[derive(Clone, Debug)]
+pub struct SongRows(Vec<Arc<Array2<f32>>>);
+
+impl SongRows {
+    /// Takes `[rows, columns]` of the whole song, then of the song without its first frame, and so
+    /// on; one entry for a song that cannot be moved. None without any.
+    #[must_use]
+    pub fn new(phases: Vec<Arc<Array2<f32>>>) -> Option<Self> {
+        (!phases.is_empty()).then_some(Self(phases))
+    }
+
+    /// Rows of the song without its first `phase` frames, which must be among those known.
+    pub(super) fn phase(&self, phase: usize) -> &Array2<f32> {
+        &self.0[phase]
+    }
+
+    /// Returns the number of start phases known.
+    pub(super) fn phases(&self) -> usize {
+        self.0.len()
+    }
+}
 
 /// Rows by song.
 pub(super) type MusicRows = HashMap<MusicSource, SongRows>;

@@ -1,6 +1,6 @@
 //! The stages that learn, and what each of them needs.
 
-use super::{Config, Load, config::Keep};
+use super::config::{CheckpointPolicy, Config, TrainingConfig};
 
 /// A stage that learns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,15 +11,26 @@ pub enum Stage {
     Velocity,
     /// The motion GPT.
     Gpt,
-    /// The motion GPT's policy, by rewards of what it generates.
+    /// The motion GPT's policy, by rewards of generated motion.
     ActorCritic,
+}
+
+/// What is needed of a data folder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Load {
+    /// Motions alone.
+    Motion,
+    /// Motions that have music, and the songs' features; progress is reported.
+    Music,
+    /// The training songs and their beats, for rewards; and motions alone.
+    Songs,
 }
 
 impl Stage {
     /// Every stage of a whole run, in its order.
     pub const ALL: [Self; 4] = [Self::VqVae, Self::Velocity, Self::Gpt, Self::ActorCritic];
 
-    /// Its name on the command line and in the run's folder.
+    /// Returns its name on the command line and in the run's folder.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -30,7 +41,7 @@ impl Stage {
         }
     }
 
-    /// What it needs of the data.
+    /// Returns what it needs of the data.
     #[must_use]
     pub fn load(self) -> Load {
         match self {
@@ -40,23 +51,42 @@ impl Stage {
         }
     }
 
-    /// The stages whose weights it builds on.
+    /// Whether a run has this stage.
+    pub(super) fn is_part_of(self, config: &Config) -> bool {
+        match self {
+            Self::Velocity => !config.ablation.root_in_pose,
+            Self::ActorCritic => config.actor_critic.enabled,
+            Self::VqVae | Self::Gpt => true,
+        }
+    }
+
+    /// Returns the stages whose weights it builds on.
     pub(super) fn bases(self, config: &Config) -> impl Iterator<Item = Self> {
         let bases: &[Self] = match self {
             Self::VqVae => &[],
             Self::Velocity | Self::Gpt => &[Self::VqVae],
             Self::ActorCritic => &[Self::VqVae, Self::Velocity, Self::Gpt],
         };
-        bases.iter().copied().filter(|&base| config.has(base))
+        bases.iter().copied().filter(|base| base.is_part_of(config))
     }
 
-    /// Which of its checkpoints is used afterwards.
-    pub(super) fn keep(self, config: &Config) -> Keep {
+    /// Returns its length and optimiser.
+    pub(super) fn training(self, config: &Config) -> &TrainingConfig {
         match self {
-            Self::VqVae => config.vqvae.keep,
-            Self::Velocity => config.velocity.keep,
-            Self::Gpt => config.gpt.keep,
-            Self::ActorCritic => Keep::Last,
+            Self::VqVae => &config.vqvae.training,
+            Self::Velocity => &config.velocity.training,
+            Self::Gpt => &config.gpt.training,
+            Self::ActorCritic => &config.actor_critic.training,
+        }
+    }
+
+    /// Returns which of its checkpoints is used afterwards.
+    pub(super) fn checkpoint_policy(self, config: &Config) -> CheckpointPolicy {
+        match self {
+            Self::VqVae => config.vqvae.checkpoint_policy,
+            Self::Velocity => config.velocity.checkpoint_policy,
+            Self::Gpt => config.gpt.checkpoint_policy,
+            Self::ActorCritic => CheckpointPolicy::Last,
         }
     }
 }

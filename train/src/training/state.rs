@@ -1,25 +1,30 @@
-//! What a running stage holds, and how it gets into checkpoints and back.
+//! The state of a running stage, and its way into checkpoints and back.
 
 use std::path::{Path, PathBuf};
 
-use burn_tensor::Tensor as Device;
+use burn_tensor::Tensor;
 
 use super::{
-    TrainError, TrainingConfig,
     adam::{Adam, clip},
-    keep::{BEST_FILE, BEST_STEP, BEST_VALUE, CHECKPOINT_FILE, FINISHED, SETTINGS},
-    runner::{Losses, Plan, WEIGHT, Work},
-    saved::{Saved, remove_partial},
+    checkpoint::Checkpoint,
+    config::TrainingConfig,
+    error::TrainError,
+    files::remove_partial,
+    kept::{
+        BEST_FILE, BEST_STEP, BEST_VALUE, CHECKPOINT_FILE, STEP, WEIGHT, WINDOWS, has_all_steps,
+        parsed,
+    },
+    trainable::{Losses, StageSpec, TrainableStage},
 };
 use crate::{
-    Tensor,
+    HostTensor,
     nn::{Parameters, Trainable, values},
 };
 
 const FIRST_MOMENT: &str = "adam.first.";
 const SECOND_MOMENT: &str = "adam.second.";
+const UPDATES: &str = "adam.updates";
 const METERS: &str = "meters";
-const STEP: &str = "step";
 
 /// The lowest test loss so far.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,117 +33,110 @@ pub(super) struct Best {
     pub(super) step: u64,
 }
 
+/// Weights, optimiser, metrics and progress of a running stage.
 pub(super) struct State<A: Trainable> {
     parameters: Parameters<A::InnerBackend>,
-    /// How fast each of them learns, in units of the stage's rate.
+    /// Learning rate of each of them, in units of the stage's rate.
     rate_factors: Vec<f64>,
     adam: Adam<A::InnerBackend>,
     pub(super) step: u64,
     pub(super) best: Option<Best>,
     /// Sums of the metrics since the last line.
-    sums: Vec<Device<A::InnerBackend, 1>>,
+    sums: Vec<Tensor<A::InnerBackend, 1>>,
     summed: f32,
     folder: PathBuf,
 }
 
 impl<A: Trainable> State<A> {
-    /// From the checkpoint in `folder`, or from the plan's weights.
-    pub(super) fn start<W: Work<A>>(
-        plan: &Plan<'_>,
-        work: &mut W,
+    /// Starts from the checkpoint in `folder`, or from the first weights of `spec`.
+    pub(super) fn start<S: TrainableStage<A>>(
+        spec: &StageSpec<'_>,
+        stage: &mut S,
         device: &A::Device,
         folder: &Path,
     ) -> Result<Self, TrainError> {
         remove_partial(folder).map_err(TrainError::file(folder))?;
-        let parameters =
-            Parameters::from_store(&plan.store, device).in_precision(plan.run.precision);
+        let parameters = Parameters::from_store(&spec.store, device);
+        let names = spec.store.entries().iter().map(|(name, _)| name);
         let mut state = Self {
-            adam: Adam::new(parameters.tensors(), plan.training.betas),
+            adam: Adam::new(parameters.tensors(), spec.training.betas),
             parameters,
-            rate_factors: plan
-                .store
-                .entries()
-                .iter()
-                .map(|(name, _)| work.rate_factor(name))
-                .collect(),
+            rate_factors: names.map(|name| stage.rate_factor(name)).collect(),
             step: 0,
             best: None,
-            sums: W::COLUMNS
+            sums: S::COLUMNS
                 .iter()
-                .map(|_| Device::zeros([1], device))
+                .map(|_| Tensor::zeros([1], device))
                 .collect(),
             summed: 0.0,
             folder: folder.to_owned(),
         };
         let path = folder.join(CHECKPOINT_FILE);
-        if let Some(saved) = Saved::read(&path)? {
-            let failed = |message| TrainError::State { path, message };
-            state.restore(plan, work, &saved, device).map_err(failed)?;
+        if let Some(checkpoint) = Checkpoint::read(&path)? {
+            let restored = state.restore(spec, stage, &checkpoint, device);
+            restored.map_err(TrainError::state(&path))?;
         }
         Ok(state)
     }
 
-    fn restore<W: Work<A>>(
+    fn restore<S: TrainableStage<A>>(
         &mut self,
-        plan: &Plan<'_>,
-        work: &mut W,
-        saved: &Saved,
+        spec: &StageSpec<'_>,
+        stage: &mut S,
+        checkpoint: &Checkpoint,
         device: &A::Device,
     ) -> Result<(), String> {
-        let settings = saved.fact(SETTINGS);
-        if settings != plan.settings {
-            return Err(other_settings(settings));
-        }
-        self.step = parse(saved, STEP)?;
-        if !saved.fact(BEST_STEP).is_empty() {
+        let facts = &checkpoint.facts;
+        spec.identity.check(facts)?;
+        has_all_steps(facts, spec.training)?;
+        self.step = parsed(facts, STEP)?;
+        if facts.contains_key(BEST_STEP) {
             self.best = Some(Best {
-                value: parse(saved, BEST_VALUE)?,
-                step: parse(saved, BEST_STEP)?,
+                value: parsed(facts, BEST_VALUE)?,
+                step: parsed(facts, BEST_STEP)?,
             });
         }
         let load = |prefix: &str| -> Result<Parameters<A::InnerBackend>, String> {
-            let parameters = Parameters::from_store(&saved.fill(prefix, &plan.store)?, device);
-            Ok(parameters.in_precision(plan.run.precision))
+            let store = checkpoint.fill(prefix, &spec.store)?;
+            Ok(Parameters::from_store(&store, device))
         };
         self.parameters = load(WEIGHT)?;
         self.adam.first = load(FIRST_MOMENT)?.tensors().to_vec();
         self.adam.second = load(SECOND_MOMENT)?.tensors().to_vec();
-        let meters = saved.tensor(METERS)?.data();
+        let updates = checkpoint.tensor(UPDATES)?.data().iter();
+        self.adam.updates = updates.map(|&count| count as u32).collect();
+        let meters = checkpoint.tensor(METERS)?.data();
         let (summed, sums) = meters.split_first().ok_or("no meters")?;
         self.summed = *summed;
         for (sum, value) in self.sums.iter_mut().zip(sums) {
-            *sum = Device::from_floats([*value], device);
+            *sum = Tensor::from_floats([*value], device);
         }
-        work.restore(saved)
+        stage.restore(checkpoint)
     }
 
-    /// One step downhill.
-    pub(super) fn advance<W: Work<A>>(
+    /// Takes one step downhill.
+    pub(super) fn advance<S: TrainableStage<A>>(
         &mut self,
         training: &TrainingConfig,
-        work: &mut W,
+        stage: &mut S,
         rate: f64,
     ) {
         let tracked: Parameters<A> = self.parameters.tracked();
-        let Losses { loss, metrics } = work.step(&tracked, self.step);
+        let Losses { loss, metrics } = stage.step(&tracked, self.step);
         let mut gradients = loss.backward();
         let tensors = tracked.tensors().iter().zip(&self.rate_factors);
-        let gradient = |(tensor, factor): (&Device<A, 1>, &f64)| {
+        let gradient = |(tensor, factor): (&Tensor<A, 1>, &f64)| {
             let gradient = tensor.grad_remove(&mut gradients);
             gradient.filter(|_| *factor > 0.0)
         };
         let mut gradients: Vec<_> = tensors.map(gradient).collect();
-        // The last copies but our own: what nobody else has is changed in its place.
+        // The last other copies of the weights: without them Adam changes the tensors in place.
         drop(tracked);
         clip(&mut gradients, training.clip);
-        let earlier = work.earlier_updates(self.step);
-        let rates: Vec<f64> = self
-            .rate_factors
-            .iter()
-            .map(|factor| rate * factor)
-            .collect();
+        let factors = self.rate_factors.iter();
+        let rates: Vec<f64> = factors.map(|factor| rate * factor).collect();
         self.adam
-            .step(self.parameters.tensors_mut(), gradients, &rates, earlier);
+            .step(self.parameters.tensors_mut(), gradients, &rates);
         for (sum, value) in self.sums.iter_mut().zip(metrics) {
             *sum = sum.clone() + value;
         }
@@ -150,17 +148,14 @@ impl<A: Trainable> State<A> {
         self.sums.iter().flat_map(values).collect()
     }
 
-    /// Means since the last line; starts the next.
-    pub(super) fn means<W: Work<A>>(
+    /// Returns the means since the last line, and starts the next.
+    pub(super) fn means<S: TrainableStage<A>>(
         &mut self,
-        stage: &'static str,
+        name: &'static str,
     ) -> Result<Vec<f32>, TrainError> {
-        let means: Vec<f32> = self
-            .read_sums()
-            .iter()
-            .map(|sum| sum / self.summed)
-            .collect();
-        self.check(W::COLUMNS, &means, stage)?;
+        let sums = self.read_sums();
+        let means: Vec<f32> = sums.iter().map(|sum| sum / self.summed).collect();
+        self.check(S::COLUMNS, &means, name)?;
         self.summed = 0.0;
         for sum in &mut self.sums {
             *sum = sum.zeros_like();
@@ -169,22 +164,22 @@ impl<A: Trainable> State<A> {
     }
 
     /// Measures on the test split, and keeps these weights if they are the best so far.
-    pub(super) fn test<W: Work<A>>(
+    pub(super) fn test<S: TrainableStage<A>>(
         &mut self,
-        plan: &Plan<'_>,
-        work: &W,
+        spec: &StageSpec<'_>,
+        stage: &S,
     ) -> Result<Option<Vec<f32>>, TrainError> {
-        let Some(tests) = work.test(&self.parameters) else {
+        let Some(tests) = stage.test(&self.parameters) else {
             return Ok(None);
         };
-        self.check(W::TEST_COLUMNS, &tests, plan.name)?;
+        self.check(S::TEST_COLUMNS, &tests, spec.name)?;
         if let Some(&value) = tests.first()
             && self.best.is_none_or(|best| value < best.value)
         {
             let step = self.step;
             self.best = Some(Best { value, step });
-            let saved = self.weights(plan, work)?;
-            saved.write(&self.folder.join(BEST_FILE))?;
+            let checkpoint = self.weights(spec, stage)?;
+            checkpoint.write(&self.folder.join(BEST_FILE))?;
         }
         Ok(Some(tests))
     }
@@ -207,79 +202,68 @@ impl<A: Trainable> State<A> {
         })
     }
 
-    /// What later stages need.
-    fn weights<W: Work<A>>(&self, plan: &Plan<'_>, work: &W) -> Result<Saved, TrainError> {
-        let mut saved = Saved::default();
-        saved.put(WEIGHT, &self.parameters.to_store(&plan.store));
-        work.save(&mut saved);
-        self.check_tensors(&saved, plan.name)?;
-        let facts = [
-            ("stage", plan.name.to_owned()),
-            (STEP, self.step.to_string()),
-            (SETTINGS, plan.settings.clone()),
-        ];
-        saved.facts = facts.map(|(name, value)| (name.to_owned(), value)).into();
+    /// Returns what later stages need.
+    fn weights<S: TrainableStage<A>>(
+        &self,
+        spec: &StageSpec<'_>,
+        stage: &S,
+    ) -> Result<Checkpoint, TrainError> {
+        let mut checkpoint = Checkpoint::default();
+        checkpoint.put_store(WEIGHT, &self.parameters.to_store(&spec.store));
+        stage.save(&mut checkpoint);
+        self.check_tensors(&checkpoint, spec.name)?;
+        let mut put = |name: &str, value: String| checkpoint.facts.insert(name.into(), value);
+        put("stage", spec.name.into());
+        put(STEP, self.step.to_string());
+        put(WINDOWS, spec.windows.to_string());
         if let Some(best) = self.best {
-            let facts = [
-                (BEST_VALUE, best.value.to_string()),
-                (BEST_STEP, best.step.to_string()),
-            ];
-            let facts = facts.map(|(name, value)| (name.to_owned(), value));
-            saved.facts.extend(facts);
+            put(BEST_VALUE, best.value.to_string());
+            put(BEST_STEP, best.step.to_string());
         }
-        Ok(saved)
+        spec.identity.put(&mut checkpoint.facts);
+        Ok(checkpoint)
     }
 
-    /// Writes the checkpoint of a run of `total` steps.
-    pub(super) fn save<W: Work<A>>(
+    /// Writes the checkpoint.
+    pub(super) fn save<S: TrainableStage<A>>(
         &self,
-        plan: &Plan<'_>,
-        work: &W,
-        total: u64,
+        spec: &StageSpec<'_>,
+        stage: &S,
     ) -> Result<(), TrainError> {
         let mut meters = vec![self.summed];
         meters.extend(self.read_sums());
-        self.check(W::COLUMNS, meters.get(1..).unwrap_or_default(), plan.name)?;
-        let mut saved = self.weights(plan, work)?;
+        self.check(S::COLUMNS, &meters[1..], spec.name)?;
+        let mut checkpoint = self.weights(spec, stage)?;
         let moments = [
             (FIRST_MOMENT, &self.adam.first),
             (SECOND_MOMENT, &self.adam.second),
         ];
         for (prefix, tensors) in moments {
             let values = tensors.iter().map(values).collect();
-            saved.put(prefix, &plan.store.with_values(values));
+            checkpoint.put_store(prefix, &spec.store.with_values(values));
         }
-        let meters = Tensor::from_fn(vec![meters.len()], |place| meters[place]);
-        saved.tensors.insert(METERS.into(), meters);
-        self.check_tensors(&saved, plan.name)?;
-        let finished = (self.step >= total).to_string();
-        saved.facts.insert(FINISHED.into(), finished);
-        saved.write(&self.folder.join(CHECKPOINT_FILE))
+        // Exact up to 2^24, where no correction is left.
+        let updates: Vec<f32> = self
+            .adam
+            .updates
+            .iter()
+            .map(|&count| count as f32)
+            .collect();
+        checkpoint.put_vector(UPDATES, &updates);
+        checkpoint.put_vector(METERS, &meters);
+        self.check_tensors(&checkpoint, spec.name)?;
+        checkpoint.write(&self.folder.join(CHECKPOINT_FILE))
     }
 
-    /// A run that went wrong must not replace the checkpoint from before: a derivative can spoil
-    /// the weights in the very step whose loss was still a number.
-    fn check_tensors(&self, saved: &Saved, stage: &'static str) -> Result<(), TrainError> {
-        let mut values = saved.tensors.values().flat_map(Tensor::data);
+    /// Refuses values that are not finite: a run that went wrong must not replace the checkpoint
+    /// from before. A derivative can spoil the weights in a step whose loss was still a number.
+    fn check_tensors(
+        &self,
+        checkpoint: &Checkpoint,
+        stage: &'static str,
+    ) -> Result<(), TrainError> {
+        let mut values = checkpoint.tensors.values().flat_map(HostTensor::data);
         let wrong = values.find(|value| !value.is_finite());
-        wrong.map_or(Ok(()), |&value| {
-            Err(TrainError::NotFinite {
-                stage,
-                column: "state",
-                value,
-                step: self.step,
-            })
-        })
+        wrong.map_or(Ok(()), |&value| self.check(&["state"], &[value], stage))
     }
-}
-
-/// Why a checkpoint is refused that was made with `found`.
-pub(super) fn other_settings(found: &str) -> String {
-    format!("made with other settings or data ({found}): use another run.folder, or delete it")
-}
-
-fn parse<T: std::str::FromStr>(saved: &Saved, name: &str) -> Result<T, String> {
-    let text = saved.fact(name);
-    text.parse()
-        .map_err(|_| format!("`{text}` is no value of `{name}`"))
 }

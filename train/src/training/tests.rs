@@ -5,26 +5,27 @@ use std::{path::Path, sync::Arc};
 use bailando::motion::Positions;
 use burn_autodiff::Autodiff;
 use burn_flex::{Flex, FlexDevice};
-use burn_tensor::{Tensor, TensorData};
 use ndarray::{Array2, Axis, Slice};
 
 use super::{
+    checkpoint::Checkpoint,
     codes::{Augmentation, Codes},
-    decode::DanceDecoder,
-    generate::{TestPiece, codes as generated_codes, dances},
-    gpt::GptWork,
+    crops::motion_columns,
+    decode::MotionDecoder,
+    frozen::FrozenVqVae,
+    generate::{TestPiece, codes as generated_codes, motions},
+    gpt::GptStage,
     metrics::read_series,
     policy::Policy,
-    runner::Work,
-    saved::Saved,
-    velocity::{Decoders, VelocityWork},
-    vqvae::{Trained, VqVaeWork, half_crops},
+    trainable::TrainableStage,
+    velocity::{Decoders, VelocityStage},
+    vqvae::VqVaeStage,
     *,
 };
 use crate::{
-    data::{Draw, Evaluation, Motion, SplitKind, mirrored, testing},
+    data::{Draw, Evaluation, FRAMES_PER_CODE, Motion, SplitKind, mirrored, testing},
     export::skeleton,
-    nn::{Parameters, Precision, Store, values},
+    nn::{Parameters, Store, numbers, values},
 };
 
 type Tracked = Autodiff<Flex>;
@@ -57,8 +58,8 @@ fn dance(frames: usize, seed: u32) -> Positions {
     testing::dance(&skeleton(0.93), frames, seed)
 }
 
-pub(super) fn whole<S: SplitKind>(frames: usize) -> Dances<S> {
-    Dances::new(vec![piece(dance(frames, 3), 1, 1)])
+pub(super) fn whole<S: SplitKind>(frames: usize) -> Motions<S> {
+    Motions::new(vec![piece(dance(frames, 3), 1, 1)])
 }
 
 fn part(positions: &Positions, from: usize) -> Positions {
@@ -67,20 +68,14 @@ fn part(positions: &Positions, from: usize) -> Positions {
 }
 
 fn codes<B: crate::nn::Kernels<Device = FlexDevice>>(
-    frozen: &Trained<B>,
+    frozen: &FrozenVqVae<B>,
     piece: &MotionPiece,
 ) -> [Vec<i32>; 2] {
     let frames = piece.frames() / FRAMES_PER_CODE * FRAMES_PER_CODE;
-    let whole = Draw {
-        dance: 0,
-        song: 0,
-        phase: 0,
-        start: 0,
-        mirrored: false,
-    };
+    let whole = Draw { ..Draw::default() };
     let piece = std::slice::from_ref(piece);
     [0, 1].map(|half| {
-        let motion = half_crops(
+        let motion = motion_columns(
             piece,
             &[whole],
             frames,
@@ -101,15 +96,11 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
     let positions = [dance(FRAMES, 1), dance(250, 2)];
     let pieces = [(&positions[0], 2), (&positions[1], 1)];
     let pieces = pieces.map(|(positions, songs)| piece(positions.clone(), songs, 8));
-    let set = MotionSet {
-        training: Dances::new(pieces.into()),
-        test: None,
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(Motions::new(pieces.into()), None);
     let log = &mut Vec::new();
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
 
-    let frozen = Trained::<Flex>::read(&config, &FlexDevice).unwrap();
+    let frozen = FrozenVqVae::<Flex>::read(&config, &FlexDevice).unwrap();
     let wanted = Augmentation {
         mirror: true,
         phases: 8,
@@ -124,10 +115,9 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
                 let expected = codes(&frozen, &piece(motion.into_positions(), 0, 0));
                 let draw = Draw {
                     dance: index,
-                    song: 0,
                     phase,
-                    start: 0,
                     mirrored: side,
+                    ..Draw::default()
                 };
                 assert_eq!(found.of(&draw), &expected, "{draw:?}");
                 for half in [0, 1] {
@@ -135,8 +125,7 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
                     let codes = expected[half].len();
                     assert_eq!(vectors.len(), codes * config.vqvae.embedding);
                     let shape = [codes, config.vqvae.embedding];
-                    let vectors = TensorData::new(vectors, shape);
-                    let vectors = Tensor::<Flex, 2>::from_data(vectors, &FlexDevice);
+                    let vectors = numbers::<Flex, 2>(vectors, shape, &FlexDevice);
                     let nearest = frozen.codebooks[half].nearest(vectors);
                     let nearest: Vec<i32> = nearest.into_data().iter::<i32>().collect();
                     assert_eq!(nearest, expected[half], "{draw:?}");
@@ -146,8 +135,8 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
     }
     assert_eq!(found.starts(&[0, 0]).count(), 4);
 
-    let (plan, work) = GptWork::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
-    assert_eq!(plan.windows, (37 - 29) + (31 - 29));
+    let (spec, stage) = GptStage::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
+    assert_eq!(spec.windows, (37 - 29) + (31 - 29));
     let block = config.gpt.block;
     let crops = crate::data::CropPlan {
         frames: 8 * (block + 1),
@@ -155,7 +144,7 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
         mirror: true,
     };
     for draw in crops.round(&set.training.music_choices(8), 5, 0) {
-        let rows = values(&work.music::<Flex>(set.training.pieces(), &[draw]));
+        let rows = values(&stage.music::<Flex>(set.training.pieces(), &[draw]));
         for (row, values) in rows.chunks(3).enumerate() {
             // Row k + 1 beside code k, which begins at frame 8 k of the dance without its phase.
             let frame = draw.phase + draw.start + 8 * (row + 1);
@@ -178,35 +167,32 @@ fn test_losses_are_the_losses_without_learning() {
         training.batch = 1;
     }
     (config.vqvae.frames, config.velocity.frames) = (240, 240);
-    let set = MotionSet {
-        training: whole(240),
-        test: Some(whole::<Evaluation>(240)),
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(whole(240), Some(whole::<Evaluation>(240)));
     let log = &mut Vec::new();
 
-    let (plan, mut work) = VqVaeWork::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
-    let parameters = Parameters::<Flex>::from_store(&plan.store, &FlexDevice);
-    assert_eq!(work.test(&parameters), None, "no codes yet");
-    work.step(&parameters.tracked(), 0);
-    compare(&mut work, &parameters, &[0, 2, 9]);
+    let (spec, mut stage) = VqVaeStage::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
+    let parameters = Parameters::<Flex>::from_store(&spec.store, &FlexDevice);
+    assert_eq!(stage.test(&parameters), None, "no codes yet");
+    stage.step(&parameters.tracked(), 0);
+    compare(&mut stage, &parameters, &[0, 2, 9]);
 
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
     config.velocity.pose_decoders = true;
     config.velocity.speed_weight = 2.0;
-    let (plan, mut work) = VelocityWork::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
-    let parameters = Parameters::from_store(&plan.store, &FlexDevice);
-    compare(&mut work, &parameters, &[0, 3]);
-    let output = plan
+    let (spec, mut stage) = VelocityStage::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
+    let parameters = Parameters::from_store(&spec.store, &FlexDevice);
+    compare(&mut stage, &parameters, &[0, 3]);
+    let output = spec
         .store
         .entries()
         .iter()
         .find(|(name, _)| name == "root.output.bias");
     assert_eq!(output.unwrap().1.shape(), [4]);
 
-    let (plan, mut work) = GptWork::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
-    let parameters = Parameters::from_store(&plan.store, &FlexDevice);
-    compare(&mut work, &parameters, &[0, 1, 2]);
+    let (spec, mut stage) =
+        GptStage::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
+    let parameters = Parameters::from_store(&spec.store, &FlexDevice);
+    compare(&mut stage, &parameters, &[0, 1, 2]);
 }
 
 #[test]
@@ -222,21 +208,18 @@ fn standing_at_either_end_is_not_learned() {
     }
     let dancing = piece(positions.clone(), 1, 1);
     assert_eq!(dancing.dancing(), 40..559);
-    let set = MotionSet {
-        training: Dances::new(vec![dancing]),
-        test: None,
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(Motions::new(vec![dancing]), None);
     let log = &mut Vec::new();
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
     let mut windows = |trim_still: bool| {
         config.gpt.trim_still = trim_still;
-        let (plan, work) = GptWork::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
-        let mut saved = Saved::default();
-        work.save(&mut saved);
-        let starts = saved.tensor("start_codes").unwrap().shape().to_vec();
+        let (spec, stage) =
+            GptStage::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
+        let mut checkpoint = Checkpoint::default();
+        stage.save(&mut checkpoint);
+        let starts = checkpoint.tensor("start_codes").unwrap().shape().to_vec();
         assert_eq!(starts[1], 2);
-        plan.windows
+        spec.windows
     };
     // Of 75 codes with their rows, or of those from the fifth on that end before frame 559.
     assert_eq!([false, true].map(&mut windows), [75 - 29, 69 - 5 - 29]);
@@ -248,19 +231,15 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
     let mut config = config(folder.path());
     config.velocity.pose_decoders = true;
     config.velocity.speed_weight = 2.0;
-    let set = MotionSet {
-        training: whole(FRAMES),
-        test: Some(whole::<Evaluation>(FRAMES)),
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(whole(FRAMES), Some(whole::<Evaluation>(FRAMES)));
     let log = &mut Vec::new();
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
-    let (plan, work) = VelocityWork::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
+    let (spec, stage) = VelocityStage::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
     let poses = |store: &Store| {
-        let losses = work.test(&Parameters::from_store(store, &FlexDevice));
+        let losses = stage.test(&Parameters::from_store(store, &FlexDevice));
         losses.unwrap()[1]
     };
-    let before = poses(&plan.store);
+    let before = poses(&spec.store);
     train(Stage::Velocity, &config, &set, None, Limits::default(), log).unwrap();
     let after = poses(&Decoders::trained(&config).unwrap().store);
     assert!(after < 0.8 * before, "{before} {after}");
@@ -268,7 +247,7 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
     // What is danced comes from them.
     let codes = [vec![1, 5, 3, 3], vec![2, 0, 7, 4]];
     let dance = |config: &Config| {
-        let decoder = DanceDecoder::<Flex>::read(config, &FlexDevice).unwrap();
+        let decoder = MotionDecoder::<Flex>::read(config, &FlexDevice).unwrap();
         decoder.positions(&codes).unwrap()
     };
     let learned_on = dance(&config);
@@ -278,13 +257,13 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
     assert_eq!(root(&learned_on), root(&as_they_were));
     assert_ne!(learned_on, as_they_were);
 
-    // Side by side they come out as each by itself, whatever their lengths.
+    // Side by side they are the same as each alone, for all lengths.
     let shorter = codes.each_ref().map(|half| half[1..].to_vec());
     let reversed = codes
         .each_ref()
         .map(|half| half.iter().rev().copied().collect());
     let pieces = [codes, reversed, shorter];
-    let decoder = DanceDecoder::<Flex>::read(&config, &FlexDevice).unwrap();
+    let decoder = MotionDecoder::<Flex>::read(&config, &FlexDevice).unwrap();
     let together = decoder.positions_of_many(&pieces);
     assert_eq!(together.len(), pieces.len());
     for (together, codes) in together.into_iter().zip(&pieces) {
@@ -300,19 +279,23 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
 }
 
 /// `columns` of training are those of the test.
-fn compare<W: Work<Tracked>>(work: &mut W, parameters: &Parameters<Flex>, columns: &[usize]) {
-    let state = |work: &W| {
-        let mut saved = Saved::default();
-        work.save(&mut saved);
-        saved.tensors
+fn compare<S: TrainableStage<Tracked>>(
+    stage: &mut S,
+    parameters: &Parameters<Flex>,
+    columns: &[usize],
+) {
+    let state = |stage: &S| {
+        let mut checkpoint = Checkpoint::default();
+        stage.save(&mut checkpoint);
+        checkpoint.tensors
     };
-    let before = state(work);
-    let test = work.test(parameters).unwrap();
-    assert_eq!(state(work), before, "a test changes nothing");
-    let metrics = work.step(&parameters.tracked(), 1).metrics;
+    let before = state(stage);
+    let test = stage.test(parameters).unwrap();
+    assert_eq!(state(stage), before, "a test changes nothing");
+    let metrics = stage.step(&parameters.tracked(), 1).metrics;
     assert_eq!(
         (test.len(), columns.len()),
-        (W::TEST_COLUMNS.len(), columns.len())
+        (S::TEST_COLUMNS.len(), columns.len())
     );
     for (&column, test) in columns.iter().zip(test) {
         let trained = values(&metrics[column])[0];
@@ -328,49 +311,13 @@ fn without_test_dances_there_is_no_test_loss() {
     let folder = tempfile::tempdir().unwrap();
     let config = config(folder.path());
     for test in [None, Some(whole::<Evaluation>(40))] {
-        let set = MotionSet {
-            training: whole(FRAMES),
-            test,
-            songs: Vec::new(),
-        };
-        let (plan, mut work) = VqVaeWork::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
-        let parameters = Parameters::<Flex>::from_store(&plan.store, &FlexDevice);
-        work.step(&parameters.tracked(), 0);
-        assert_eq!(work.test(&parameters), None);
+        let set = MotionSet::new(whole(FRAMES), test);
+        let (spec, mut stage) =
+            VqVaeStage::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
+        let parameters = Parameters::<Flex>::from_store(&spec.store, &FlexDevice);
+        stage.step(&parameters.tracked(), 0);
+        assert_eq!(stage.test(&parameters), None);
     }
-}
-
-/// Losses of every step of a VQ-VAE, and what it takes to go on in another precision.
-#[test]
-fn rounded_products_train_alike_and_are_another_run() {
-    let losses = |folder: &Path, precision| {
-        let mut config = config(folder);
-        config.run.precision = precision;
-        config.run.log_steps = 1;
-        config.vqvae.training.steps = 12;
-        let set = MotionSet {
-            training: whole(FRAMES),
-            test: None,
-            songs: Vec::new(),
-        };
-        let log = &mut Vec::new();
-        let outcome = train(Stage::VqVae, &config, &set, None, Limits::default(), log);
-        outcome.map(|_| read_series(&folder.join("vqvae/metrics.csv")).unwrap()["loss"].clone())
-    };
-    let folders = [0, 1].map(|_| tempfile::tempdir().unwrap());
-    let exact = losses(folders[0].path(), Precision::F32).unwrap();
-    let rounded = losses(folders[1].path(), Precision::Bf16).unwrap();
-    assert_ne!(exact, rounded);
-    let ends = [&exact, &rounded].map(|series| [series[0].1, series[11].1]);
-    assert!(
-        (ends[0][0] - ends[1][0]).abs() < 0.01 * ends[0][0],
-        "{ends:?}"
-    );
-    for [first, last] in ends {
-        assert!(last < 0.9 * first, "{ends:?}");
-    }
-    let refused = losses(folders[0].path(), Precision::Bf16).unwrap_err();
-    assert!(matches!(refused, TrainError::State { .. }), "{refused}");
 }
 
 /// A run with parts left out, up to its GPT.
@@ -380,15 +327,11 @@ fn trained(folder: &Path, ablation: AblationConfig) -> Config {
     (config.data.mirror, config.data.phases) = (false, 1);
     config.run.log_steps = 1;
     (config.velocity.training.steps, config.gpt.training.steps) = (3, 3);
-    let set = MotionSet {
-        training: whole(FRAMES),
-        test: Some(whole(FRAMES)),
-        songs: Vec::new(),
-    };
+    let set = MotionSet::new(whole(FRAMES), Some(whole(FRAMES)));
     for stage in [Stage::VqVae, Stage::Velocity, Stage::Gpt] {
         let log = &mut Vec::new();
         let outcome = train(stage, &config, &set, None, Limits::default(), log);
-        if config.has(stage) {
+        if stage.is_part_of(&config) {
             assert_eq!(outcome.unwrap(), Outcome::Finished);
         } else {
             assert!(matches!(outcome, Err(TrainError::LeftOut { .. })));
@@ -402,9 +345,9 @@ fn generated(config: &Config) -> ([Vec<i32>; 2], Positions) {
     let policy = Policy::latest(config).unwrap();
     let music = Array2::from_shape_fn((40, 3), |(row, column)| ((row + column) as f32).sin());
     let pieces = ["one", "two"].map(|id| TestPiece::new(id, music.clone()));
-    let found = dances::<Flex>(config, &policy, &pieces, 3, &FlexDevice).unwrap();
-    let alone = dances::<Flex>(config, &policy, &pieces[1..], 3, &FlexDevice).unwrap();
-    let other = dances::<Flex>(config, &policy, &pieces[1..], 4, &FlexDevice).unwrap();
+    let found = motions::<Tracked>(config, &policy, &pieces, 3, &FlexDevice).unwrap();
+    let alone = motions::<Tracked>(config, &policy, &pieces[1..], 3, &FlexDevice).unwrap();
+    let other = motions::<Tracked>(config, &policy, &pieces[1..], 4, &FlexDevice).unwrap();
     assert_eq!(found[1], alone[0], "beside another piece");
     // There is one pair of codes to start from; beyond it regression leaves nothing to chance.
     let same = config.ablation.continuous;
@@ -430,30 +373,12 @@ fn path(dance: &Positions) -> f32 {
 #[test]
 fn runs_with_parts_left_out_learn_and_dance() {
     let whole = AblationConfig::default();
-    let cases = [
-        whole,
-        AblationConfig {
-            separate_halves: true,
-            ..whole
-        },
-        AblationConfig {
-            root_in_pose: true,
-            ..whole
-        },
-        AblationConfig {
-            whole_body: true,
-            ..whole
-        },
-        AblationConfig {
-            whole_body: true,
-            root_in_pose: true,
-            ..whole
-        },
-        AblationConfig {
-            continuous: true,
-            ..whole
-        },
-    ];
+    let cases = [0b0000, 0b0001, 0b0010, 0b0100, 0b0110, 0b1000].map(|flags| AblationConfig {
+        separate_halves: flags & 0b0001 > 0,
+        root_in_pose: flags & 0b0010 > 0,
+        whole_body: flags & 0b0100 > 0,
+        continuous: flags & 0b1000 > 0,
+    });
     for ablation in cases {
         let folder = tempfile::tempdir().unwrap();
         let config = trained(folder.path(), ablation);
@@ -492,14 +417,12 @@ fn the_pose_may_include_the_roots_motion() {
     config.ablation.root_in_pose = true;
     let piece = piece(dance(40, 1), 0, 0);
     let draw = Draw {
-        dance: 0,
-        song: 0,
-        phase: 0,
         start: 8,
         mirrored: true,
+        ..Draw::default()
     };
     let [_, lower] = config.pose_columns();
-    let crop = half_crops::<Flex>(
+    let crop = motion_columns::<Flex>(
         std::slice::from_ref(&piece),
         &[draw],
         8,

@@ -1,19 +1,24 @@
-//! Stage `velocity`: the root's decoder on frozen codes of the lower half, and, if asked for, those of both
-//! halves on: what codes mean no longer changes, so that decoders can follow them more closely.
+//! Stage `velocity`: the root's decoder on frozen codes of the lower half.
+//!
+//! With `pose_decoders` the decoders of both halves learn as well: the codes no longer change their
+//! meaning, so the decoders can follow them more closely.
 
-use burn_tensor::{Tensor as Device, TensorData};
+use burn_tensor::Tensor;
 
 use super::{
-    Config, MotionSet, Stage, TrainError,
-    input::MotionPiece,
-    keep::read_kept,
-    runner::{Losses, Plan, WEIGHT, Work},
-    saved::Saved,
-    vqvae::{HALVES, Halves, Trained, differences, half_crops, test_means},
+    config::Config,
+    crops::{change, differences, motion_columns, motion_windows, test_means},
+    error::TrainError,
+    frozen::{FrozenVqVae, HALVES, Halves},
+    identity::Identity,
+    input::{MotionPiece, MotionSet},
+    kept::{WEIGHT, read_kept},
+    stage::Stage,
+    trainable::{Losses, StageSpec, TrainableStage},
     windows::Windows,
 };
 use crate::{
-    data::{CropPlan, Draw},
+    data::Draw,
     nn::{DecoderNet, Kernels, Parameters, Store, Trainable},
 };
 
@@ -23,13 +28,14 @@ const REST: f64 = 1e-10;
 /// The decoders that the stage learns.
 pub(super) struct Decoders {
     pub(super) root: DecoderNet,
-    /// Of the upper and lower half, where they learn as well.
+    /// Those of the upper and lower half, where they learn as well.
     pub(super) halves: Option<[DecoderNet; 2]>,
     pub(super) store: Store,
 }
 
 impl Decoders {
-    /// Before the first step: the root's of random weights, those of the halves as they are.
+    /// Returns the decoders before the first step: the root's with random weights, those of the
+    /// halves as they are.
     pub(super) fn new(config: &Config, halves: &Halves) -> Self {
         let mut store = Store::default();
         let root = DecoderNet::new("root", &halves.weights.root, &mut store);
@@ -44,61 +50,52 @@ impl Decoders {
         }
     }
 
-    /// As the finished stage left them.
+    /// Reads the decoders of the finished stage.
     pub(super) fn trained(config: &Config) -> Result<Self, TrainError> {
         let decoders = Self::new(config, &Halves::random(config));
-        let (path, saved) = read_kept(config, Stage::Velocity)?;
-        let store = saved.fill(WEIGHT, &decoders.store);
-        let store = store.map_err(|message| TrainError::State { path, message })?;
+        let (path, checkpoint) = read_kept(config, Stage::Velocity)?;
+        let store = checkpoint
+            .fill(WEIGHT, &decoders.store)
+            .map_err(TrainError::state(&path))?;
         Ok(Self { store, ..decoders })
     }
 }
 
-pub(super) struct VelocityWork<'a, A: Trainable> {
+/// Stage `velocity`.
+pub(super) struct VelocityStage<'a, A: Trainable> {
     config: &'a Config,
     set: &'a MotionSet,
     windows: Windows,
     root: DecoderNet,
     halves: Option<[DecoderNet; 2]>,
-    frozen: Trained<A::InnerBackend>,
+    frozen: FrozenVqVae<A::InnerBackend>,
     device: A::Device,
 }
 
-impl<'a, A: Trainable> VelocityWork<'a, A> {
+impl<'a, A: Trainable> VelocityStage<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
         device: &A::Device,
-    ) -> Result<(Plan<'a>, Self), TrainError> {
-        let stage = &config.velocity;
-        let frozen = Trained::read(config, device)?;
+    ) -> Result<(StageSpec<'a>, Self), TrainError> {
+        let settings = &config.velocity;
+        let frozen = FrozenVqVae::read(config, device)?;
         let Decoders {
             root,
             halves,
             store,
         } = Decoders::new(config, &frozen.halves);
-        let crops = CropPlan {
-            frames: stage.frames,
-            stride: stage.stride,
-            mirror: config.data.mirror,
-        };
-        let choices = set.training.motion_choices(config.data.phases);
-        let windows = Windows::new(crops, choices, config.run.seed ^ 1);
-        if windows.len() == 0 {
-            return Err(TrainError::TooShort {
-                length: stage.frames,
-                unit: "frames",
-            });
-        }
-        let plan = Plan {
+        let crops = (settings.frames, settings.stride);
+        let windows = motion_windows(config, set, crops, config.run.seed ^ 1)?;
+        let spec = StageSpec {
             name: "velocity",
             run: &config.run,
-            training: &stage.training,
-            settings: set.settings(config, Stage::Velocity)?,
+            training: &settings.training,
+            identity: Identity::of_stage(config, Stage::Velocity, set)?,
             store,
             windows: windows.len(),
         };
-        let work = Self {
+        let stage = Self {
             config,
             set,
             windows,
@@ -107,10 +104,10 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
             frozen,
             device: device.clone(),
         };
-        Ok((plan, work))
+        Ok((spec, stage))
     }
 
-    /// Motion of one half, and the entries of its codes.
+    /// Returns the motion of one half, and the entries of its codes.
     fn half_examples(
         &self,
         half: usize,
@@ -120,7 +117,7 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
         let frozen = &self.frozen;
         let frames = self.config.velocity.frames;
         let columns = &frozen.halves.columns[half];
-        let motion = half_crops(pieces, windows, frames, columns, &self.device);
+        let motion = motion_columns(pieces, windows, frames, columns, &self.device);
         let net = &frozen.halves.nets[half];
         let mut entries = net.encoder.forward(&frozen.parameters, motion.clone());
         if !self.config.ablation.continuous {
@@ -135,29 +132,22 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
         }
     }
 
-    /// The root's columns of some crops.
-    fn root_target(&self, pieces: &[MotionPiece], windows: &[Draw]) -> Device<A::InnerBackend, 3> {
+    /// Gathers the root's columns of crops.
+    fn root_target(&self, pieces: &[MotionPiece], windows: &[Draw]) -> Tensor<A::InnerBackend, 3> {
         let frames = self.config.velocity.frames;
-        let columns = self.config.data.root_columns();
-        let mut values = Vec::with_capacity(windows.len() * frames * columns.len());
-        for window in windows {
-            let piece = &pieces[window.dance];
-            for frame in window.frames(frames) {
-                let row = columns.iter();
-                values.extend(row.map(|&column| piece.value(frame, column, window.mirrored)));
-            }
-        }
-        let shape = [windows.len(), frames, columns.len()];
-        Device::from_data(TensorData::new(values, shape), &self.device)
+        let columns = self.config.data.root_columns().iter().copied();
+        let columns: Vec<_> = columns.map(Some).collect();
+        motion_columns(pieces, windows, frames, &columns, &self.device)
     }
 
-    /// The loss of some crops, the root's errors of velocity and of its differences, and the halves' part.
+    /// Computes the loss of crops, the root's errors of velocity and of its differences, and the
+    /// part of the halves.
     fn losses<B: Kernels>(
         &self,
         parameters: &Parameters<B>,
         (pieces, windows): (&[MotionPiece], &[Draw]),
-        lift: impl Fn(Device<A::InnerBackend, 3>) -> Device<B, 3>,
-    ) -> [Device<B, 1>; 4] {
+        lift: impl Fn(Tensor<A::InnerBackend, 3>) -> Tensor<B, 3>,
+    ) -> [Tensor<B, 1>; 4] {
         let lower = self.half_examples(1, pieces, windows);
         let target = lift(self.root_target(pieces, windows));
         let found = self.root.forward(parameters, lift(lower.entries.clone()));
@@ -176,9 +166,9 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
         [loss, velocity, difference, poses]
     }
 
-    /// That of stage `vqvae`, and the error of every joint's speed: of several ways that a code may stand for,
-    /// the middle one is slower than any.
-    fn pose_loss<B: Kernels>(&self, found: Device<B, 3>, target: Device<B, 3>) -> Device<B, 1> {
+    /// Computes the loss of stage `vqvae` plus the error of every joint's speed: where a code
+    /// stands for several motions, their mean is slower than each of them.
+    fn pose_loss<B: Kernels>(&self, found: Tensor<B, 3>, target: Tensor<B, 3>) -> Tensor<B, 1> {
         let weights = &self.config.vqvae;
         let [position, velocity, acceleration] = differences(found.clone() - target.clone());
         let speed = (speeds(found) - speeds(target)).abs().mean();
@@ -189,21 +179,22 @@ impl<'a, A: Trainable> VelocityWork<'a, A> {
     }
 }
 
-/// What decoders learn from, `[batch, codes, channels]` and `[batch, frames, columns]`.
+/// Inputs and targets of decoders, `[batch, codes, channels]` and `[batch, frames, columns]`.
 struct Examples<B: Kernels> {
-    entries: Device<B, 3>,
-    target: Device<B, 3>,
+    entries: Tensor<B, 3>,
+    target: Tensor<B, 3>,
 }
 
-/// Metres that every joint moves in a frame, `[batch, frames - 1, joints, 1]`.
-fn speeds<B: Kernels>(motion: Device<B, 3>) -> Device<B, 4> {
+/// Returns the metres that every joint moves in a frame, `[batch, frames - 1, joints, 1]`.
+fn speeds<B: Kernels>(motion: Tensor<B, 3>) -> Tensor<B, 4> {
     let [batch, frames, columns] = motion.dims();
-    let steps = motion.clone().narrow(1, 1, frames - 1) - motion.narrow(1, 0, frames - 1);
-    let squares = steps.reshape([batch, frames - 1, columns / 3, 3]).square();
+    let squares = change(motion)
+        .reshape([batch, frames - 1, columns / 3, 3])
+        .square();
     squares.sum_dim(3).add_scalar(REST).sqrt()
 }
 
-impl<A: Trainable> Work<A> for VelocityWork<'_, A> {
+impl<A: Trainable> TrainableStage<A> for VelocityStage<'_, A> {
     const COLUMNS: &'static [&'static str] = &["loss", "velocity", "difference", "poses"];
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
@@ -211,30 +202,24 @@ impl<A: Trainable> Work<A> for VelocityWork<'_, A> {
             .windows
             .batch(step, self.config.velocity.training.batch);
         let crops = (self.set.training.pieces(), &windows[..]);
-        let losses = self.losses(parameters, crops, Device::from_inner);
+        let losses = self.losses(parameters, crops, Tensor::from_inner);
         let [loss, ..] = losses.clone();
         Losses {
             loss,
-            metrics: losses.map(Device::inner).into(),
+            metrics: losses.map(Tensor::inner).into(),
         }
     }
 
     const TEST_COLUMNS: &'static [&'static str] = &["test_loss", "test_poses"];
 
     fn test(&self, parameters: &Parameters<A::InnerBackend>) -> Option<Vec<f32>> {
-        let stage = &self.config.velocity;
+        let settings = &self.config.velocity;
         let test = self.set.test.as_ref()?;
-        let crops = test.crops(stage.frames);
-        test_means(&crops, stage.training.batch, |windows| {
+        let crops = test.crops(settings.frames);
+        test_means(&crops, settings.training.batch, |windows| {
             let crops = (test.pieces(), windows);
             let [loss, .., poses] = self.losses(parameters, crops, |tensor| tensor);
             [loss, poses]
         })
-    }
-
-    fn save(&self, _saved: &mut Saved) {}
-
-    fn restore(&mut self, _saved: &Saved) -> Result<(), String> {
-        Ok(())
     }
 }

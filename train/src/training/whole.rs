@@ -3,40 +3,50 @@
 use std::{io::Write, time::Instant};
 
 use super::{
-    AblationConfig, Config, Limits, Load, MotionSet, Outcome, Stage, TrainError, export,
-    export::is_exported, keep::is_finished, train,
+    config::Config,
+    error::TrainError,
+    export::{export, is_exported},
+    identity::is_finished,
+    input::MotionSet,
+    runner::{Limits, Outcome},
+    stage::{Load, Stage},
+    train::train,
 };
 use crate::export::check_target;
 
-/// Runs all stages from where they are, then the export. Stages that are finished, and a model
-/// made of them, are left alone with one line on `output`.
+/// Runs all stages from their checkpoints, then the export. Finished stages, and a model that is
+/// made of them, stay as they are, with one line on `output`.
 ///
 /// `replace` allows another model to be replaced; without it a model that is in the way stops the
-/// run before hours are spent. `seconds` limits all stages together.
+/// run before hours are spent. `limits.seconds` limits all stages together, `limits.steps` each of
+/// them.
 ///
 /// # Errors
 /// Any [`TrainError`]; the last checkpoint stays.
 pub fn run_all(
     config: &Config,
     replace: bool,
-    seconds: Option<f64>,
+    limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
     let mut known = None;
     // As for a single stage, reading is not counted: every call gets some steps done.
     let mut spent = 0.0;
-    for stage in Stage::ALL.into_iter().filter(|&stage| config.has(stage)) {
+    for stage in Stage::ALL
+        .into_iter()
+        .filter(|stage| stage.is_part_of(config))
+    {
         if is_finished(config, stage)? {
             tell(output, &format!("{}: finished before", stage.name()));
             continue;
         }
-        if config.ablation == AblationConfig::default() {
+        if config.ablation.flag().is_none() {
             check_target(&config.export.folder, replace)?;
         }
         let set = read_once(&mut known, stage.load(), config, output)?;
         let limits = Limits {
-            seconds: seconds.map(|most| most - spent),
-            steps: None,
+            seconds: limits.seconds.map(|most| most - spent),
+            ..limits
         };
         let start = Instant::now();
         if train(stage, config, set, None, limits, output)? == Outcome::Paused {
@@ -44,7 +54,7 @@ pub fn run_all(
         }
         spent += start.elapsed().as_secs_f64();
     }
-    if config.ablation != AblationConfig::default() {
+    if config.ablation.flag().is_some() {
         tell(
             output,
             "export: left out, as parts of the model are ([ablation])",
@@ -63,7 +73,8 @@ pub fn run_all(
     Ok(Outcome::Finished)
 }
 
-/// The data set for a stage. Stages that take the same share one; without music more dances count.
+/// Returns the data set of a stage. Stages with the same needs share one: where music is not
+/// needed, more motions count.
 fn read_once<'a>(
     known: &'a mut Option<(Load, MotionSet)>,
     load: Load,
@@ -77,7 +88,7 @@ fn read_once<'a>(
     Ok(set)
 }
 
-/// A line that nobody can read is no reason to stop.
+/// Writes a line; an output that is closed is no reason to stop.
 fn tell(output: &mut impl Write, line: &str) {
     let _ = writeln!(output, "{line}");
 }

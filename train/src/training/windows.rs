@@ -1,35 +1,38 @@
-//! Which windows make up a step: a function of seed and step alone, so that a resumed run draws
-//! what an undisturbed one would.
+//! The windows of a step: a function of seed and step alone, so that a resumed run draws the same
+//! ones as an undisturbed run.
 
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
 use crate::data::{Choice, CropPlan, Draw};
 
+/// All windows that a stage learns from, in a new order every round.
 pub(super) struct Windows {
     plan: CropPlan,
-    dances: Vec<Choice>,
+    motions: Vec<Choice>,
     count: usize,
     seed: u64,
     drawn: Option<(u64, Vec<Draw>)>,
 }
 
 impl Windows {
-    pub(super) fn new(plan: CropPlan, dances: Vec<Choice>, seed: u64) -> Self {
-        Self {
-            count: plan.crops(&dances),
+    /// Returns the windows of all motions; `None` where no motion is long enough for one.
+    pub(super) fn new(plan: CropPlan, motions: Vec<Choice>, seed: u64) -> Option<Self> {
+        let count = plan.crops(&motions);
+        (count > 0).then_some(Self {
+            count,
             plan,
-            dances,
+            motions,
             seed,
             drawn: None,
-        }
+        })
     }
 
-    /// Windows of a round.
+    /// Returns the number of windows in a round.
     pub(super) fn len(&self) -> usize {
         self.count
     }
 
-    /// The windows of a step: round after round over all dances.
+    /// Returns the windows of a step: round after round over all motions.
     pub(super) fn batch(&mut self, step: u64, size: usize) -> Vec<Draw> {
         let first = step * size as u64;
         (first..first + size as u64)
@@ -42,7 +45,7 @@ impl Windows {
         let (round, index) = (place / count, (place % count) as usize);
         let draws = match self.drawn.take() {
             Some((known, draws)) if known == round => draws,
-            _ => self.plan.round(&self.dances, self.seed, round),
+            _ => self.plan.round(&self.motions, self.seed, round),
         };
         let draw = draws[index];
         self.drawn = Some((round, draws));
@@ -50,7 +53,7 @@ impl Windows {
     }
 }
 
-/// The random numbers of a step.
+/// Returns the random numbers of a step.
 pub(super) fn generator(seed: u64, step: u64) -> ChaCha8Rng {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     random.set_stream(step);
@@ -63,7 +66,7 @@ mod tests {
 
     #[test]
     fn a_round_holds_every_window_once() {
-        let dances = [10, 3, 6].map(|frames| Choice {
+        let motions = [10, 3, 6].map(|frames| Choice {
             frames,
             skipped: 0,
             songs: 1,
@@ -74,7 +77,7 @@ mod tests {
             stride: 2,
             mirror: false,
         };
-        let windows = || Windows::new(plan, dances.to_vec(), 7);
+        let windows = || Windows::new(plan, motions.to_vec(), 7).unwrap();
         let drawn = windows().batch(0, 6);
         assert_eq!(drawn[4..], windows().batch(2, 2));
         let mut places: Vec<_> = drawn.iter().map(|draw| (draw.dance, draw.start)).collect();

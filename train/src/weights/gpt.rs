@@ -7,7 +7,7 @@ use super::{
         Source,
     },
 };
-use crate::{Tensor, checkpoint::Checkpoint, checkpoint::CheckpointError};
+use crate::{HostTensor, checkpoint::CheckpointError, checkpoint::TorchCheckpoint};
 
 /// Streams that the position table covers: music, upper and lower codes.
 const STREAMS: usize = 3;
@@ -16,18 +16,18 @@ const STREAMS: usize = 3;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Linear {
     /// Matrix, `[out, in]`.
-    pub weight: Tensor,
+    pub weight: HostTensor,
     /// Offset, `[out]`.
-    pub bias: Tensor,
+    pub bias: HostTensor,
 }
 
 /// Scale and offset of a layer normalisation, each `[channels]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerNorm {
     /// Scale.
-    pub weight: Tensor,
+    pub weight: HostTensor,
     /// Offset.
-    pub bias: Tensor,
+    pub bias: HostTensor,
 }
 
 /// A pre-norm transformer block.
@@ -57,19 +57,19 @@ pub struct GptWeights {
     /// Music rows to channels, `[channels, columns]`.
     pub music: Linear,
     /// Upper codes, `[vocabulary, channels]`.
-    pub upper_embedding: Tensor,
+    pub upper_embedding: HostTensor,
     /// Lower codes, `[vocabulary, channels]`.
-    pub lower_embedding: Tensor,
+    pub lower_embedding: HostTensor,
     /// Learned positions of music, upper and lower in turn, `[3 * block, channels]`.
-    pub positions: Tensor,
+    pub positions: HostTensor,
     /// Blocks of the state network, then those of the policy.
     pub blocks: Vec<Block>,
     /// After the last block.
     pub final_norm: LayerNorm,
     /// Channels to upper logits, `[vocabulary, channels]`.
-    pub upper_head: Tensor,
+    pub upper_head: HostTensor,
     /// Channels to lower logits, `[vocabulary, channels]`.
-    pub lower_head: Tensor,
+    pub lower_head: HostTensor,
     /// Attention heads.
     pub heads: usize,
 }
@@ -82,9 +82,9 @@ pub struct CriticWeights {
     /// After the last block.
     pub final_norm: LayerNorm,
     /// Channels to the upper half's value, `[1, channels]`.
-    pub upper_value: Tensor,
+    pub upper_value: HostTensor,
     /// Channels to the lower half's value, `[1, channels]`.
-    pub lower_value: Tensor,
+    pub lower_value: HostTensor,
     /// Attention heads.
     pub heads: usize,
 }
@@ -94,7 +94,10 @@ impl CriticWeights {
     ///
     /// # Errors
     /// [`WeightError`] names the first tensor that is missing or does not fit the others.
-    pub fn from_checkpoint(checkpoint: &mut Checkpoint, heads: usize) -> Result<Self, WeightError> {
+    pub fn from_checkpoint(
+        checkpoint: &mut TorchCheckpoint,
+        heads: usize,
+    ) -> Result<Self, WeightError> {
         let mut source = Source::new(checkpoint);
         let upper_value = source.take("critic_net.head_up.weight", &[Is(1), Any("channels")])?;
         let channels = upper_value.dim(1);
@@ -115,7 +118,10 @@ impl GptWeights {
     ///
     /// # Errors
     /// [`WeightError`] names the first tensor that is missing or does not fit the others.
-    pub fn from_checkpoint(checkpoint: &mut Checkpoint, heads: usize) -> Result<Self, WeightError> {
+    pub fn from_checkpoint(
+        checkpoint: &mut TorchCheckpoint,
+        heads: usize,
+    ) -> Result<Self, WeightError> {
         let mut source = Source::new(checkpoint);
         let upper_embedding = source.take(
             "gpt_base.tok_emb_up.weight",
@@ -191,7 +197,7 @@ fn check_heads(source: &Source<'_>, channels: usize, heads: usize) -> Result<(),
 }
 
 /// The position table without its leading dimension of 1.
-fn positions(source: &mut Source<'_>, channels: usize) -> Result<Tensor, CheckpointError> {
+fn positions(source: &mut Source<'_>, channels: usize) -> Result<HostTensor, CheckpointError> {
     const NAME: &str = "gpt_base.pos_emb";
     let table = source.take(NAME, &[Is(1), Any("3 x block"), Is(channels)])?;
     let rows = table.dim(1);
@@ -203,7 +209,7 @@ fn positions(source: &mut Source<'_>, channels: usize) -> Result<Tensor, Checkpo
             &table,
         ));
     }
-    let flat = Tensor::new(vec![rows, channels], table.data().to_vec());
+    let flat = HostTensor::new(vec![rows, channels], table.data().to_vec());
     flat.map_err(|_| source.mismatch(NAME, "[1, 3 x block, channels]", &table))
 }
 

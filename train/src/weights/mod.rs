@@ -1,5 +1,5 @@
-//! The networks' weights with their roles: what a checkpoint is turned into, and what the graph
-//! builders take. All sizes are read off the tensors' shapes and checked against each other.
+//! The networks' weights with their roles: read from checkpoints, written into graphs. All sizes
+//! are read off the tensors' shapes and checked against each other.
 
 mod gpt;
 mod source;
@@ -18,18 +18,17 @@ use crate::checkpoint::CheckpointError;
 /// Why weights could not be taken from a checkpoint.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "each message names its fields")]
 pub enum WeightError {
     /// The file, or one of its tensors.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
     /// The head count cannot be read off the tensors and the one given does not fit them.
-    #[error("{}: {channels} channels cannot be divided among {heads} heads: give the right count with --heads", path.display())]
+    #[error("{}: {channels} channels cannot be divided among {heads} heads: give the right count \
+             with --heads", path.display())]
     Heads {
-        /// The checkpoint.
         path: PathBuf,
-        /// Width of the embeddings.
         channels: usize,
-        /// Heads asked for.
         heads: usize,
     },
 }

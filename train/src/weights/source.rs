@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::{
-    Tensor,
-    checkpoint::{Checkpoint, CheckpointError},
+    HostTensor,
+    checkpoint::{CheckpointError, TorchCheckpoint},
 };
 
 /// A size that a shape must have, or that it decides.
@@ -20,11 +20,11 @@ pub(super) enum Size {
 
 /// Takes checked tensors out of a checkpoint.
 pub(super) struct Source<'a> {
-    checkpoint: &'a mut Checkpoint,
+    checkpoint: &'a mut TorchCheckpoint,
 }
 
 impl<'a> Source<'a> {
-    pub(super) fn new(checkpoint: &'a mut Checkpoint) -> Self {
+    pub(super) fn new(checkpoint: &'a mut TorchCheckpoint) -> Self {
         Self { checkpoint }
     }
 
@@ -32,8 +32,12 @@ impl<'a> Source<'a> {
         self.checkpoint.path()
     }
 
-    /// The tensor `name`, whose shape must match `shape`.
-    pub(super) fn take(&mut self, name: &str, shape: &[Size]) -> Result<Tensor, CheckpointError> {
+    /// Takes the tensor `name`, whose shape must match `shape`.
+    pub(super) fn take(
+        &mut self,
+        name: &str,
+        shape: &[Size],
+    ) -> Result<HostTensor, CheckpointError> {
         let tensor = self.checkpoint.tensor(name)?;
         let fits = tensor.shape().len() == shape.len()
             && tensor
@@ -52,7 +56,12 @@ impl<'a> Source<'a> {
     }
 
     /// The error for a tensor that should be `expected`.
-    pub(super) fn mismatch(&self, name: &str, expected: &str, found: &Tensor) -> CheckpointError {
+    pub(super) fn mismatch(
+        &self,
+        name: &str,
+        expected: &str,
+        found: &HostTensor,
+    ) -> CheckpointError {
         CheckpointError::Shape {
             path: self.checkpoint.path().to_owned(),
             tensor: name.to_owned(),

@@ -8,7 +8,7 @@ use super::{
         Source,
     },
 };
-use crate::{Tensor, checkpoint::Checkpoint, checkpoint::CheckpointError};
+use crate::{HostTensor, checkpoint::CheckpointError, checkpoint::TorchCheckpoint};
 
 /// SMPL joints of the upper and of the lower half (ARCHITECTURE section 1).
 pub const HALF_JOINTS: ([usize; 15], [usize; 9]) = (
@@ -28,9 +28,9 @@ const DILATION_GROWTH: usize = 3;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Convolution {
     /// `[out, in, kernel]`; [in, out, kernel] where it is transposed.
-    pub weight: Tensor,
+    pub weight: HostTensor,
     /// `[out]`.
-    pub bias: Tensor,
+    pub bias: HostTensor,
 }
 
 /// `x + pointwise(relu(dilated(relu(x))))`.
@@ -88,7 +88,7 @@ pub struct HalfWeights {
     /// Motion to embeddings.
     pub encoder: EncoderWeights,
     /// `[codes, embedding]`.
-    pub codebook: Tensor,
+    pub codebook: HostTensor,
     /// Embeddings to motion.
     pub decoder: DecoderWeights,
 }
@@ -110,7 +110,7 @@ impl VqVaeWeights {
     ///
     /// # Errors
     /// [`WeightError`] names the first tensor that is missing or does not fit the others.
-    pub fn from_checkpoint(checkpoint: &mut Checkpoint) -> Result<Self, WeightError> {
+    pub fn from_checkpoint(checkpoint: &mut TorchCheckpoint) -> Result<Self, WeightError> {
         let mut source = Source::new(checkpoint);
         let (upper_joints, lower_joints) = HALF_JOINTS;
         let upper = half(&mut source, "vqvae_up", 3 * upper_joints.len(), None)?;

@@ -1,10 +1,10 @@
 //! Helpers of the integration tests.
 
-#![allow(dead_code, reason = "not every test binary uses every helper")]
-
 use std::{
     ops::Range,
     path::{Path, PathBuf},
+    process::{Command, Output},
+    sync::{Mutex, MutexGuard, PoisonError},
 };
 
 use bailando::{
@@ -13,8 +13,10 @@ use bailando::{
     motion::MotionFrame,
 };
 use bailando_train::{
+    checkpoint::TorchCheckpoint,
     export::{Description, PUBLISHED_HOP},
     import::{ImportOptions, import},
+    weights::{GptWeights, VqVaeWeights},
 };
 use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, Slice};
 use tempfile::TempDir;
@@ -45,6 +47,38 @@ pub(crate) fn shared(test: &str, relative: &str) -> Option<PathBuf> {
 /// Path of a golden file that the repository owns.
 pub(crate) fn fixture(name: &str) -> PathBuf {
     workspace().join("tests/fixtures/model").join(name)
+}
+
+/// The pose VQ-VAE of the golden models.
+pub(crate) fn vqvae() -> VqVaeWeights {
+    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_vqvae.pt")).unwrap();
+    VqVaeWeights::from_checkpoint(&mut checkpoint).unwrap()
+}
+
+/// The motion GPT of the golden models.
+pub(crate) fn gpt() -> GptWeights {
+    let mut checkpoint = TorchCheckpoint::open(&fixture("tiny_gpt.pt")).unwrap();
+    GptWeights::from_checkpoint(&mut checkpoint, HEADS).unwrap()
+}
+
+/// Runs the trainer's binary.
+pub(crate) fn train(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_bailando-train"))
+        .args(arguments)
+        .env_remove("COLUMNS")
+        .output()
+        .unwrap()
+}
+
+/// Standard output of a process.
+pub(crate) fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// Held by tests that draw from the CPU backend's random generator, which a process has once.
+pub(crate) fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Import options of the golden models.

@@ -1,4 +1,4 @@
-//! Things that are no audio, or not all of it.
+//! Files without audio, with damaged audio and with a part of it.
 
 use super::*;
 
@@ -81,6 +81,61 @@ fn damaged_packets_become_silence_and_keep_the_time() {
     assert_eq!(song.signals[0][tail..], whole.signals[0][tail..]);
 }
 
+/// Where the first frame of a FLAC file starts.
+fn first_frame(file: &[u8]) -> usize {
+    let mut at = 4;
+    loop {
+        let size = u32::from_be_bytes([0, file[at + 1], file[at + 2], file[at + 3]]);
+        let last = file[at] & 0x80 != 0;
+        at += 4 + size as usize;
+        if last {
+            return at;
+        }
+    }
+}
+
+#[test]
+fn flac_frames_lost_in_front_become_silence_and_keep_the_time() {
+    let whole = decode(fixture("demo.flac"), &[32_000]).unwrap();
+    let start = first_frame(&fixture("demo.flac"));
+    // Inside the first frame; its header; the headers of several frames.
+    for damaged in [
+        start + 100..start + 140,
+        start..start + 40,
+        start..start + 20_000,
+    ] {
+        let mut file = fixture("demo.flac");
+        for byte in &mut file[damaged.clone()] {
+            *byte ^= 0x55;
+        }
+        let song = decode(file, &[32_000]).unwrap();
+        println!("{damaged:?}: {} s, {:?}", song.duration_s, song.warnings);
+        assert!(song.warnings[0].contains("silence"));
+        assert_eq!(song.duration_s, 30.0);
+        assert_eq!(song.signals[0][..4_096], [0.0; 4_096]);
+        let tail = 5 * 32_000;
+        assert_eq!(song.signals[0][tail..], whole.signals[0][tail..]);
+    }
+}
+
+#[test]
+fn a_flac_that_was_cut_in_front_starts_with_its_first_frame_and_says_so() {
+    let blocks = |count: u64| SilentFlac {
+        rate: 44_100,
+        channels: 1,
+        frames: count * 65_535,
+        declared: 4 * 65_535,
+    };
+    let file = blocks(4).bytes();
+    let frame = (file.len() - blocks(0).bytes().len()) / 4;
+    let start = first_frame(&file);
+    let song = decode([&file[..start], &file[start + frame..]].concat(), &[LOW]).unwrap();
+    println!("{} s, {:?}", song.duration_s, song.warnings);
+    assert_eq!(song.duration_s, 3.0 * 65_535.0 / 44_100.0);
+    assert_eq!(song.warnings.len(), 1);
+    assert!(song.warnings[0].contains("1.5 s before it are missing"));
+}
+
 #[test]
 fn a_hole_in_an_mp3_is_stepped_over_and_said() {
     let mut file = fixture("demo.mp3");
@@ -119,7 +174,11 @@ fn mutants() -> impl Strategy<Value = (usize, Vec<(prop::sample::Index, u8)>, f6
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 150, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 150,
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
 
     #[test]
     fn mutants_neither_panic_nor_hang((which, edits, share) in mutants()) {

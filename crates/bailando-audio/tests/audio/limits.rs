@@ -53,7 +53,10 @@ fn channels() {
     for count in [0, 9, 26, 27, u16::MAX] {
         let error = refusal(wav16(count, 44_100, &[0; 44_100]));
         assert!(
-            matches!(error, AudioError::Channels { count: found, .. } if found == usize::from(count)),
+            matches!(
+                error,
+                AudioError::Channels { count: found, .. } if found == usize::from(count)
+            ),
             "{error}"
         );
     }

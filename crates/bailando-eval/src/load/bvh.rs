@@ -1,18 +1,20 @@
 //! BVH: hierarchy and channels to joint positions by forward kinematics.
 //!
 //! Joints are found by their names, so that files of other programs with the same skeleton work in
-//! any order of joints and channels. The root stands where its position channels say, as its OFFSET
-//! is zero in our files.
+//! any order of joints and channels. The root's place is that of its position channels, as its
+//! OFFSET is zero in our files.
 
-use std::{collections::HashMap, str::SplitWhitespace};
+use std::str::SplitWhitespace;
 
 use glam::{DQuat, DVec3};
 use ndarray::Array3;
 
-use super::check_rate;
-use crate::body::{JOINT_NAMES, JOINTS};
+use crate::body::{
+    JOINT_NAMES, JOINTS, check_rate,
+    joint::{L_ANKLE, L_KNEE},
+};
 
-/// Legs longer than this are measured in centimetres, not in metres.
+/// A longer leg is measured in centimetres, not in metres.
 const LONGEST_LEG: f64 = 5.0;
 const METRES_PER_CENTIMETRE: f64 = 0.01;
 
@@ -30,7 +32,7 @@ struct Joint {
     channels: Vec<Channel>,
 }
 
-/// Positions `[frames, 24, 3]` in metres, SMPL order.
+/// Returns positions `[frames, 24, 3]` in metres, SMPL order.
 pub(super) fn read(text: &str) -> Result<Array3<f32>, String> {
     let mut words = text.split_whitespace();
     let joints = hierarchy(&mut words)?;
@@ -40,37 +42,30 @@ pub(super) fn read(text: &str) -> Result<Array3<f32>, String> {
     let frame_time: f64 = labelled(&mut words, &["Frame", "Time:"])?;
     check_rate(1.0 / frame_time)?;
     let values: Vec<f64> = words.map(number).collect::<Result<_, _>>()?;
-    let channels = joints
-        .iter()
-        .map(|joint| joint.channels.len())
-        .sum::<usize>();
+    let channels = joints.iter().map(|joint| joint.channels.len()).sum();
     if channels == 0 || frames.checked_mul(channels) != Some(values.len()) {
+        let found = values.len();
         return Err(format!(
-            "{} numbers are not {frames} frames of {channels} channels",
-            values.len()
+            "{found} numbers are not {frames} frames of {channels} channels"
         ));
     }
     let mut positions = Array3::zeros((frames, JOINTS, 3));
-    for (mut cells, values) in positions
-        .outer_iter_mut()
-        .zip(values.chunks_exact(channels))
-    {
+    for (frame, values) in values.chunks_exact(channels).enumerate() {
         let places = pose(&joints, values);
-        for (mut cell, &at) in cells.outer_iter_mut().zip(&order) {
-            let place = (places[at] * scale).as_vec3().to_array();
-            cell.iter_mut()
-                .zip(place)
-                .for_each(|(value, new)| *value = new);
+        for (joint, &at) in order.iter().enumerate() {
+            for (axis, value) in (places[at] * scale).to_array().into_iter().enumerate() {
+                positions[(frame, joint, axis)] = value as f32;
+            }
         }
     }
     Ok(positions)
 }
 
-/// The joints up to the word MOTION; a parent comes before its children.
+/// Reads the joints up to the word MOTION; a parent comes before its children.
 fn hierarchy(words: &mut SplitWhitespace<'_>) -> Result<Vec<Joint>, String> {
     expect(words, "HIERARCHY")?;
     let mut joints: Vec<Joint> = Vec::new();
-    // The joints that are open; an end site is nobody.
+    // The joints whose brackets are open; none: an end site.
     let mut open: Vec<Option<usize>> = Vec::new();
     loop {
         match word(words)? {
@@ -98,12 +93,11 @@ fn hierarchy(words: &mut SplitWhitespace<'_>) -> Result<Vec<Joint>, String> {
             "CHANNELS" => {
                 let channels = channels(words)?;
                 let joint = current(&open, &mut joints).ok_or("channels without a joint")?;
-                if joint.parent.is_some()
-                    && channels.iter().any(|c| matches!(c, Channel::Position(_)))
-                {
+                let moves = channels.iter().any(|c| matches!(c, Channel::Position(_)));
+                if moves && joint.parent.is_some() {
+                    let name = &joint.name;
                     return Err(format!(
-                        "joint {} has position channels: only the root may",
-                        joint.name
+                        "joint {name} has position channels: only the root may"
                     ));
                 }
                 joint.channels = channels;
@@ -136,36 +130,25 @@ fn channels(words: &mut SplitWhitespace<'_>) -> Result<Vec<Channel>, String> {
         .collect()
 }
 
-/// Where in the file each SMPL joint is.
+/// Returns the place of each SMPL joint in the file.
 fn smpl_order(joints: &[Joint]) -> Result<Vec<usize>, String> {
-    let places: HashMap<&str, usize> = joints
-        .iter()
-        .enumerate()
-        .map(|(at, joint)| (joint.name.as_str(), at))
-        .collect();
-    let find = |name: &&str| {
-        places
-            .get(name)
-            .copied()
-            .ok_or(format!("it has no joint {name}"))
+    let find = |name: &str| {
+        let place = joints.iter().rposition(|joint| joint.name == name);
+        place.ok_or(format!("it has no joint {name}"))
     };
-    JOINT_NAMES.iter().map(find).collect()
+    JOINT_NAMES.split_whitespace().map(find).collect()
 }
 
-/// Metres per unit. The format does not name one: nobody's leg is 5 m long.
+/// Metres per unit. The format does not name one, but no leg is 5 m long.
 fn metres(joints: &[Joint], order: &[usize]) -> f64 {
-    let leg = [4, 7]
-        .iter()
-        .filter_map(|&joint| joints.get(*order.get(joint)?));
-    let length: f64 = leg.map(|joint| joint.offset.length()).sum();
-    if length > LONGEST_LEG {
-        METRES_PER_CENTIMETRE
-    } else {
-        1.0
+    let leg = [L_KNEE, L_ANKLE].map(|joint| joints[order[joint]].offset.length());
+    match leg.iter().sum::<f64>() > LONGEST_LEG {
+        true => METRES_PER_CENTIMETRE,
+        false => 1.0,
     }
 }
 
-/// Places of all joints for one line of channels.
+/// Computes the places of all joints for one line of channels.
 fn pose(joints: &[Joint], values: &[f64]) -> Vec<DVec3> {
     let mut values = values.iter().copied();
     let mut places = Vec::with_capacity(joints.len());
@@ -195,9 +178,7 @@ fn pose(joints: &[Joint], values: &[f64]) -> Vec<DVec3> {
 }
 
 fn word<'a>(words: &mut SplitWhitespace<'a>) -> Result<&'a str, String> {
-    words
-        .next()
-        .ok_or_else(|| "the file ends too early".to_owned())
+    words.next().ok_or_else(|| "the file ends too early".into())
 }
 
 fn expect(words: &mut SplitWhitespace<'_>, wanted: &str) -> Result<(), String> {
@@ -224,9 +205,8 @@ fn labelled<T: std::str::FromStr>(
         expect(words, part)?;
     }
     let value = word(words)?;
-    value
-        .parse()
-        .map_err(|_| format!("{} {value:?} is no number", label.join(" ")))
+    let parsed = value.parse();
+    parsed.map_err(|_| format!("{} {value:?} is no number", label.join(" ")))
 }
 
 #[cfg(test)]
@@ -239,7 +219,13 @@ mod tests {
     fn file(unit: f64, frame_time: f64, root: [&str; 2]) -> String {
         let mut text = String::from("HIERARCHY\nROOT pelvis\n{\nOFFSET 0 0 0\n");
         text.push_str("CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n");
-        for name in JOINT_NAMES[1..].iter().rev() {
+        for name in JOINT_NAMES
+            .split_whitespace()
+            .skip(1)
+            .collect::<Vec<_>>()
+            .iter()
+            .rev()
+        {
             writeln!(text, "JOINT {name} {{ OFFSET {unit} 0 0").unwrap();
             text.push_str("CHANNELS 3 Yrotation Xrotation Zrotation\n");
             writeln!(text, "End Site {{ OFFSET 0 {unit} 0 }} }}").unwrap();
@@ -269,43 +255,42 @@ mod tests {
     }
 
     #[test]
-    fn centimetres_are_told_from_metres() {
-        let positions = read(&file(40.0, SIXTIETH, ["100 0 0 0 0 0"; 2])).unwrap();
-        assert!((positions[(0, 7, 0)] - 1.4).abs() < 1e-6);
-        let positions = read(&file(0.4, SIXTIETH, ["1 0 0 0 0 0"; 2])).unwrap();
-        assert!((positions[(0, 7, 0)] - 1.4).abs() < 1e-6);
+    fn centimetres_are_recognised_by_the_leg() {
+        for (unit, root) in [(40.0, "100 0 0 0 0 0"), (0.4, "1 0 0 0 0 0")] {
+            let positions = read(&file(unit, SIXTIETH, [root; 2])).unwrap();
+            assert!((positions[(0, 7, 0)] - 1.4).abs() < 1e-6);
+        }
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
-        let good = file(1.0, SIXTIETH, ["0 0 0 0 0 0"; 2]);
+    fn errors_say_what_is_wrong() {
+        const STILL: &str = "0 0 0 0 0 0";
+        let good = file(1.0, SIXTIETH, [STILL; 2]);
+        let with = |from: &str, to: &str| good.replace(from, to);
         for (text, words) in [
-            (file(1.0, 1.0 / 30.0, ["0 0 0 0 0 0"; 2]), "frames a second"),
+            (file(1.0, 1.0 / 30.0, [STILL; 2]), "frames a second"),
+            (file(1.0, SIXTIETH, [STILL, "0 0 0 0 0"]), "149 numbers"),
+            (with("l_hand", "paw"), "no joint l_hand"),
             (
-                file(1.0, SIXTIETH, ["0 0 0 0 0 0", "0 0 0 0 0"]),
-                "149 numbers",
-            ),
-            (good.replace("l_hand", "paw"), "no joint l_hand"),
-            (
-                good.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Yposition"),
+                with("CHANNELS 3 Yrotation", "CHANNELS 3 Yposition"),
                 "only the root",
             ),
             (
-                good.replace("CHANNELS 3 Yrotation", "CHANNELS 3 Wrotation"),
+                with("CHANNELS 3 Yrotation", "CHANNELS 3 Wrotation"),
                 "Wrotation",
             ),
             (
-                good.replace("Frames: 2", "Frames: 99999999999999999999"),
+                with("Frames: 2", "Frames: 99999999999999999999"),
                 "no number",
             ),
             (
-                good.replace("Frames: 2", "Frames: 18446744073709551615"),
+                with("Frames: 2", "Frames: 18446744073709551615"),
                 "150 numbers",
             ),
-            ("HIERARCHY }".to_owned(), "closes nothing"),
-            ("HIERARCHY CHANNELS 0".to_owned(), "without a joint"),
+            ("HIERARCHY }".into(), "closes nothing"),
+            ("HIERARCHY CHANNELS 0".into(), "without a joint"),
             (String::new(), "too early"),
-            ("not a bvh".to_owned(), "expected HIERARCHY"),
+            ("not a bvh".into(), "expected HIERARCHY"),
         ] {
             let message = read(&text).unwrap_err();
             assert!(message.contains(words), "{words}: {message}");

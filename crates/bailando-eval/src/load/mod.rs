@@ -6,14 +6,16 @@ mod npy;
 
 use std::{
     collections::BTreeMap,
-    fs,
     path::{Path, PathBuf},
 };
 
-use super::{EvaluationError, Motion, body::FRAMES_PER_SECOND};
+use ndarray::Array3;
 
-/// Frame rates this near to 60 are 60: BVH rounds its frame time.
-const RATE_TOLERANCE: f64 = 0.01;
+use crate::{
+    body::Motion,
+    error::EvaluationError,
+    files::{entries, stem, text},
+};
 
 /// How a motion is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,31 +38,31 @@ impl Kind {
 }
 
 /// Reads a motion: `.npy` (`[frames, 24, 3]`, metres), `.json` or `.bvh` as this program writes
-/// them. It is named after the file's stem.
+/// them. Its name is the file's stem.
 ///
 /// # Errors
 /// [`EvaluationError`] names the file and what is wrong with it.
 pub fn load_motion(path: &Path) -> Result<Motion, EvaluationError> {
-    let name = stem(path);
+    let made = |positions: Array3<f32>| match Motion::new(&stem(path), positions.view()) {
+        // The path says which one.
+        Err(EvaluationError::Motion { problem, .. }) => Err(problem),
+        made => made.map_err(|error| error.to_string()),
+    };
     let motion = match Kind::of(path) {
-        Some(Kind::Npy) => npy::read(path).and_then(|positions| made(&name, &positions)),
-        Some(Kind::Json) => text(path)?
-            .parse::<json::JsonMotion>()
-            .and_then(|read| Ok(made(&name, &read.positions)?.with_codes(read.codes))),
-        Some(Kind::Bvh) => bvh::read(&text(path)?).and_then(|positions| made(&name, &positions)),
+        Some(Kind::Npy) => npy::read(path).and_then(made),
+        Some(Kind::Json) => json::read(&text(path)?)
+            .and_then(|(positions, codes)| Ok(made(positions)?.with_codes(codes))),
+        Some(Kind::Bvh) => bvh::read(&text(path)?).and_then(made),
         None => Err("a motion is a .npy, .json or .bvh file".into()),
     };
-    motion.map_err(|problem| EvaluationError::File {
-        path: path.to_owned(),
-        problem,
-    })
+    motion.map_err(|problem| EvaluationError::file(path, problem))
 }
 
-/// The motion files directly inside a folder, by name; `index.json` is none.
+/// Lists the motion files of a folder, by name; `index.json` is none.
 ///
 /// # Errors
 /// [`EvaluationError`] if the folder can't be read, or two files have one stem.
-pub fn motion_files(folder: &Path) -> Result<Vec<PathBuf>, EvaluationError> {
+pub(crate) fn motion_files(folder: &Path) -> Result<Vec<PathBuf>, EvaluationError> {
     let mut files: BTreeMap<String, PathBuf> = BTreeMap::new();
     for path in entries(folder)? {
         let is_index = path.file_name().is_some_and(|name| name == "index.json");
@@ -68,65 +70,16 @@ pub fn motion_files(folder: &Path) -> Result<Vec<PathBuf>, EvaluationError> {
             continue;
         }
         if let Some(other) = files.insert(stem(&path), path.clone()) {
-            return Err(EvaluationError::File {
-                problem: format!("{} is a motion of the same piece", other.display()),
-                path,
-            });
+            let problem = format!("{} is a motion of the same piece", other.display());
+            return Err(EvaluationError::file(&path, problem));
         }
     }
     Ok(files.into_values().collect())
 }
 
-/// What lies directly inside a folder, by name.
-pub(super) fn entries(folder: &Path) -> Result<Vec<PathBuf>, EvaluationError> {
-    let io = |source| EvaluationError::Io {
-        path: folder.to_owned(),
-        source,
-    };
-    let mut paths = Vec::new();
-    for entry in fs::read_dir(folder).map_err(io)? {
-        paths.push(entry.map_err(io)?.path());
-    }
-    paths.sort();
-    Ok(paths)
-}
-
-/// A text file.
-pub(super) fn text(path: &Path) -> Result<String, EvaluationError> {
-    fs::read_to_string(path).map_err(|source| EvaluationError::Io {
-        path: path.to_owned(),
-        source,
-    })
-}
-
-pub(super) fn stem(path: &Path) -> String {
-    path.file_stem()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .into_owned()
-}
-
-fn made(name: &str, positions: &ndarray::Array3<f32>) -> Result<Motion, String> {
-    Motion::new(name, positions.view()).map_err(|error| match error {
-        // The path says which one.
-        EvaluationError::Motion { problem, .. } => problem,
-        other => other.to_string(),
-    })
-}
-
-fn check_rate(frames_per_second: f64) -> Result<(), String> {
-    if (frames_per_second - FRAMES_PER_SECOND).abs() < RATE_TOLERANCE {
-        Ok(())
-    } else {
-        Err(format!(
-            "it has {frames_per_second} frames a second: the metrics are defined for 60"
-        ))
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use ndarray::Array3;
+    use std::fs;
 
     use super::*;
 
@@ -137,10 +90,8 @@ mod tests {
         for name in ["b.npy", "a.bvh", "index.json", "song.ogg"] {
             fs::write(file(name), "").unwrap();
         }
-        assert_eq!(
-            motion_files(folder.path()).unwrap(),
-            [file("a.bvh"), file("b.npy")]
-        );
+        let found = motion_files(folder.path()).unwrap();
+        assert_eq!(found, [file("a.bvh"), file("b.npy")]);
         fs::write(file("a.json"), "{}").unwrap();
         let message = motion_files(folder.path()).unwrap_err().to_string();
         assert!(message.contains("same piece"), "{message}");
@@ -151,14 +102,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("wrong.npy");
         ndarray_npy::write_npy(&path, &Array3::<f32>::zeros((10, 22, 3))).unwrap();
-        let message = load_motion(&path).unwrap_err().to_string();
-        assert!(
-            message.contains("wrong.npy") && message.contains("[10, 22, 3]"),
-            "{message}"
-        );
-        let message = load_motion(&folder.path().join("none.bvh"))
-            .unwrap_err()
-            .to_string();
-        assert!(message.contains("none.bvh"), "{message}");
+        for (path, words) in [
+            (path, ["wrong.npy", "[10, 22, 3]"]),
+            (folder.path().join("none.bvh"), ["none.bvh", ""]),
+        ] {
+            let message = load_motion(&path).unwrap_err().to_string();
+            assert!(words.iter().all(|word| message.contains(word)), "{message}");
+        }
     }
 }

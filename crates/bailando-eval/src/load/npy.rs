@@ -7,7 +7,7 @@ use ndarray_npy::ViewNpyError;
 
 use bailando_core::npy::read_array;
 
-/// Positions `[frames, 24, 3]`, float32, or float64 as NumPy makes it unasked.
+/// Reads positions `[frames, 24, 3]`, float32 or NumPy's default float64.
 pub(super) fn read(path: &Path) -> Result<Array3<f32>, String> {
     let bytes = fs::read(path).map_err(|error| error.to_string())?;
     let positions = match read_array(&bytes) {
@@ -23,10 +23,15 @@ pub(super) fn read(path: &Path) -> Result<Array3<f32>, String> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn both_precisions_are_read_and_integers_are_not() {
+    fn file() -> (tempfile::TempDir, std::path::PathBuf) {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("motion.npy");
+        (folder, path)
+    }
+
+    #[test]
+    fn both_precisions_are_read_and_integers_are_not() {
+        let (_folder, path) = file();
         let expected = Array3::from_elem((4, 24, 3), 1.5_f32);
         ndarray_npy::write_npy(&path, &expected).unwrap();
         assert_eq!(read(&path).unwrap(), expected);
@@ -38,8 +43,7 @@ mod tests {
 
     #[test]
     fn a_header_that_declares_more_than_there_is_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("motion.npy");
+        let (_folder, path) = file();
         let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (99999999999, 24, 3), }";
         let header = format!("{header:<117}\n");
         let bytes = [b"\x93NUMPY\x01\x00\x76\x00", header.as_bytes()].concat();

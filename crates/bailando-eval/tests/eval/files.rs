@@ -1,28 +1,42 @@
 //! Motions and music that the evaluation reads from files.
 
-use std::num::NonZeroUsize;
+use std::{
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+};
 
-use bailando_eval::{BeatsFrom, EvaluationOptions, Metric, Motion, Pose, evaluate, load_motion};
+use bailando_eval::{BeatsFrom, EvaluationOptions, Metric, Motion, evaluate, load_motion};
 use bailando_formats::{BvhUnit, Encoding, JsonOptions, to_bvh, to_json};
 use bailando_motion::{FinishOptions, Positions, forward};
 use bailando_testkit::motion::{dance_of, fixture, folders, sway, write_motion};
-use ndarray::ArrayView2;
 
 use crate::support::{close, options};
 
 /// Largest distance of a joint, metres.
 fn apart(motion: &Motion, positions: &Positions) -> f64 {
     assert_eq!(motion.poses().len(), positions.dim().0);
-    let poses = motion.poses().iter().zip(positions.outer_iter());
-    let distance = |(pose, cells): (&Pose, ArrayView2<'_, f32>)| {
-        let joints = pose.iter().zip(cells.outer_iter());
-        let squares = joints.map(|(place, cell)| {
-            let axes = place.to_array().into_iter().zip(&cell);
-            axes.map(|(a, &b)| (a - f64::from(b)).powi(2)).sum::<f64>()
-        });
-        squares.fold(0.0, f64::max).sqrt()
+    let distance = |frame: usize, joint: usize| {
+        let place = motion.poses()[frame][joint].to_array();
+        let axes = place.into_iter().enumerate();
+        let squares =
+            axes.map(|(axis, a)| (a - f64::from(positions[(frame, joint, axis)])).powi(2));
+        squares.sum::<f64>().sqrt()
     };
-    poses.map(distance).fold(0.0, f64::max)
+    let frames = 0..motion.poses().len();
+    let all = frames.flat_map(|frame| (0..24).map(move |joint| (frame, joint)));
+    all.map(|(frame, joint)| distance(frame, joint))
+        .fold(0.0, f64::max)
+}
+
+/// Copies of the demo song with some names, in a folder inside another.
+fn songs(folder: &Path, names: impl Iterator<Item = String>) -> PathBuf {
+    let songs = folder.join("songs");
+    std::fs::create_dir(&songs).unwrap();
+    let demo = bailando_testkit::fixture("audio/demo_44k1_8s.wav");
+    for name in names {
+        std::fs::copy(&demo, songs.join(name).with_extension("wav")).unwrap();
+    }
+    songs
 }
 
 #[test]
@@ -41,10 +55,8 @@ fn every_format_of_a_dance_is_read() {
         };
         let motion = read("dance.json", to_json(&dance, &options).unwrap());
         assert!(apart(&motion, &dance.positions) < 2e-6, "{encoding:?}");
-        assert_eq!(
-            motion.codes(),
-            Some(&[dance.codes.upper.clone(), dance.codes.lower.clone()])
-        );
+        let codes = [dance.codes.upper.clone(), dance.codes.lower.clone()];
+        assert_eq!(motion.codes(), Some(&codes));
     }
     let rotated = forward(&dance.skeleton, &dance.animation).unwrap();
     for unit in [BvhUnit::Centimetre, BvhUnit::Metre] {
@@ -58,25 +70,17 @@ fn every_format_of_a_dance_is_read() {
     assert_eq!(apart(&load_motion(&path).unwrap(), &dance.positions), 0.0);
 }
 
-/// The demo song's beats are those of its features, whichever way they come.
 #[test]
-fn music_is_heard_in_audio_files() {
+fn beats_are_found_in_audio_files() {
     let (folder, reference, generated) = folders();
-    let songs = folder.path().join("songs");
-    std::fs::create_dir(&songs).unwrap();
-    let demo = bailando_testkit::fixture("audio/demo_44k1_8s.wav");
-    for at in 0..6 {
-        std::fs::copy(&demo, songs.join(format!("song{at}.wav"))).unwrap();
-    }
-    let heard = EvaluationOptions {
+    let songs = songs(folder.path(), (0..6).map(|at| format!("song{at}")));
+    let audio = EvaluationOptions {
         beats: BeatsFrom::Audio(songs),
         ..options(&generated, &reference)
     };
-    let report = evaluate(&heard).unwrap();
-    assert_eq!(
-        report.protocol.beats.as_deref(),
-        Some("column 53 of the audio's features")
-    );
+    let report = evaluate(&audio).unwrap();
+    let source = "column 53 of the audio's features";
+    assert_eq!(report.protocol.beats, Some(source));
     let score = report.generated.get(Metric::BeatAlign).unwrap();
     assert!(score > 0.0 && score < 1.0, "{score}");
     let chance = report.generated.get(Metric::BeatChance).unwrap();
@@ -85,16 +89,12 @@ fn music_is_heard_in_audio_files() {
 }
 
 #[test]
-fn dances_to_new_songs_are_no_pieces_of_the_reference() {
+fn motions_to_new_songs_are_no_pieces_of_the_reference() {
     let (folder, reference, generated) = folders();
-    let songs = folder.path().join("songs");
-    std::fs::create_dir(&songs).unwrap();
-    let demo = bailando_testkit::fixture("audio/demo_44k1_8s.wav");
+    let songs = songs(folder.path(), (0..3).map(|at| format!("new{at}")));
     for at in 0..3 {
-        let name = format!("new{at}");
-        std::fs::copy(&demo, songs.join(&name).with_extension("wav")).unwrap();
-        let dance = generated.join(format!("song{at}.npy"));
-        std::fs::rename(dance, generated.join(name).with_extension("npy")).unwrap();
+        let [old, new] = ["song", "new"].map(|name| generated.join(format!("{name}{at}.npy")));
+        std::fs::rename(old, new).unwrap();
     }
     let new = EvaluationOptions {
         beats: BeatsFrom::NewSongs(songs.clone()),
@@ -112,37 +112,26 @@ fn dances_to_new_songs_are_no_pieces_of_the_reference() {
 #[test]
 fn several_seeds_are_a_mean_with_intervals() {
     let (_folder, reference, generated) = folders();
-    for seed in ["seed1", "seed2"] {
+    for (seed, offset) in [("seed1", 0.1), ("seed2", 0.2)] {
         let own = generated.join(seed);
         std::fs::create_dir(&own).unwrap();
         for at in 0..3 {
-            let pace = 2.0 + 0.5 * at as f32 + if seed == "seed1" { 0.1 } else { 0.2 };
+            let pace = 2.0 + 0.5 * at as f32 + offset;
             write_motion(&own.join(format!("song{at}.npy")), &sway(400, pace));
         }
     }
-    let seeds = EvaluationOptions {
-        seeds: NonZeroUsize::new(2),
+    let with = |seeds| EvaluationOptions {
+        seeds: NonZeroUsize::new(seeds),
         ..options(&generated, &reference)
     };
-    let report = evaluate(&seeds).unwrap();
-    let each: Vec<f64> = report
-        .sets
-        .iter()
-        .map(|set| set.get(Metric::FidK).unwrap())
-        .collect();
+    let report = evaluate(&with(2)).unwrap();
+    let sets = report.sets.iter();
+    let each: Vec<f64> = sets.map(|set| set.get(Metric::FidK).unwrap()).collect();
     let mean = report.generated.get(Metric::FidK).unwrap();
     close(mean, 0.5 * (each[0] + each[1]), 1e-12, "mean");
     // Two values: 12.7062 times half of their difference.
-    close(
-        report.margin95["fid_k"],
-        12.7062 * 0.5 * (each[0] - each[1]).abs(),
-        1e-6,
-        "margin",
-    );
-    let three = EvaluationOptions {
-        seeds: NonZeroUsize::new(3),
-        ..seeds
-    };
-    let message = evaluate(&three).unwrap_err().to_string();
+    let margin = 12.7062 * 0.5 * (each[0] - each[1]).abs();
+    close(report.margin95["fid_k"], margin, 1e-6, "margin");
+    let message = evaluate(&with(3)).unwrap_err().to_string();
     assert!(message.contains("has 2 (seed1, seed2)"), "{message}");
 }

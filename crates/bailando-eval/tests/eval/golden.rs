@@ -1,6 +1,6 @@
 //! Golden values of the ballroom set and the row of the salsa recordings; they need shared data.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use bailando_eval::{
     BeatScore, BeatsFrom, Clips, EvaluationOptions, FeatureRows, KineticForm, Metric, Motion,
@@ -12,6 +12,12 @@ use ndarray::Array2;
 
 use crate::support::{close, json, options, random, reversed, rows};
 
+/// The golden values and the ballroom set.
+fn folders() -> Option<(PathBuf, PathBuf)> {
+    let golden = bailando_testkit::shared("evaluation/golden")?;
+    Some((golden, bailando_testkit::shared("data/dance-with-melody")?))
+}
+
 fn golden_rows(golden: &Path, suffix: &str, motions: &[Motion]) {
     let features = FeatureRows::new(motions, Clips::default(), KineticForm::Published);
     for (name, got) in [
@@ -22,11 +28,8 @@ fn golden_rows(golden: &Path, suffix: &str, motions: &[Motion]) {
         assert_eq!(got.dim(), expected.dim(), "{name}{suffix}");
         for ((at, &got), &expected) in got.indexed_iter().zip(&expected) {
             let expected = f64::from(expected);
-            let error = (got - expected).abs();
-            assert!(
-                error <= 1e-4 * expected.abs(),
-                "{name}{suffix} {at:?}: {got} {expected}"
-            );
+            let near = (got - expected).abs() <= 1e-4 * expected.abs();
+            assert!(near, "{name}{suffix} {at:?}: {got} {expected}");
         }
     }
 }
@@ -40,10 +43,7 @@ fn ballroom(data: &Path, ids: &serde_json::Value) -> Vec<Motion> {
 
 #[test]
 fn features_are_golden() {
-    let (Some(golden), Some(data)) = (
-        bailando_testkit::shared("evaluation/golden"),
-        bailando_testkit::shared("data/dance-with-melody"),
-    ) else {
+    let Some((golden, data)) = folders() else {
         return;
     };
     let ids = json(&golden.join("ids.json"));
@@ -64,21 +64,15 @@ fn check_distances(scores: &Scores, expected: &serde_json::Value) {
 
 #[test]
 fn distances_are_golden() {
-    let (Some(golden), Some(data)) = (
-        bailando_testkit::shared("evaluation/golden"),
-        bailando_testkit::shared("data/dance-with-melody"),
-    ) else {
+    let Some((golden, data)) = folders() else {
         return;
     };
     let expected = json(&golden.join("metrics.json"));
     let ids = json(&golden.join("ids.json"));
     let folder = tempfile::tempdir().unwrap();
     for motion in ballroom(&data, &ids["reversed"]) {
-        let (_, positions) = reversed(&motion);
-        write_motion(
-            &folder.path().join(format!("{}.npy", motion.name())),
-            &positions,
-        );
+        let path = folder.path().join(format!("{}.npy", motion.name()));
+        write_motion(&path, &reversed(&motion).1);
     }
     let report = evaluate(&options(folder.path(), &data)).unwrap();
     assert!(report.protocol.constant_kinetic_columns.is_empty());
@@ -96,22 +90,15 @@ fn distances_are_golden() {
         (Metric::DivK, "reference_div_k"),
         (Metric::DivG, "reference_div_g"),
     ] {
-        close(
-            report.generated.get(metric).unwrap(),
-            expected[key].as_f64().unwrap(),
-            1e-3,
-            key,
-        );
+        let expected = expected[key].as_f64().unwrap();
+        close(report.generated.get(metric).unwrap(), expected, 1e-3, key);
     }
     assert!(report.generated.get(Metric::FidK).unwrap().abs() < 1e-3);
 }
 
 #[test]
 fn beat_scores_are_golden() {
-    let (Some(golden), Some(data)) = (
-        bailando_testkit::shared("evaluation/golden"),
-        bailando_testkit::shared("data/dance-with-melody"),
-    ) else {
+    let Some((golden, data)) = folders() else {
         return;
     };
     let expected = json(&golden.join("metrics.json"));
@@ -128,19 +115,11 @@ fn beat_scores_are_golden() {
             .map(|frame| frame as usize)
             .collect();
         let dance = dance_beats(&speed(motion.poses()));
-        assert_eq!(
-            dance.len() as u64,
-            golden["dance_beats"].as_u64().unwrap(),
-            "{id}"
-        );
+        assert_eq!(golden["dance_beats"], dance.len(), "{id}");
         let score = BeatScore::new(motion.poses().len(), &beats, &dance, &mut random()).unwrap();
-        close(score.align, golden["bas"].as_f64().unwrap(), 1e-4, id);
-        close(
-            score.align_dance,
-            golden["beat_align_dance"].as_f64().unwrap(),
-            1e-4,
-            id,
-        );
+        let expected = |key: &str| golden[key].as_f64().unwrap();
+        close(score.align, expected("bas"), 1e-4, id);
+        close(score.align_dance, expected("beat_align_dance"), 1e-4, id);
         pieces += 1;
     }
     assert_eq!(pieces, 52);
@@ -182,12 +161,8 @@ fn the_salsa_recordings_have_their_row() {
             (Metric::Jerk, "jerk", 1e-4),
             (Metric::FootSkate, "skate", 1e-4),
         ] {
-            close(
-                scores.get(metric).unwrap(),
-                row[key].as_f64().unwrap(),
-                tolerance,
-                key,
-            );
+            let expected = row[key].as_f64().unwrap();
+            close(scores.get(metric).unwrap(), expected, tolerance, key);
         }
         // Another generator's shifts: the mean of 42 x 20 of them.
         let chance = scores.get(Metric::BeatChance).unwrap();
@@ -197,9 +172,9 @@ fn the_salsa_recordings_have_their_row() {
     assert!(report.warnings.is_empty(), "{:?}", report.warnings);
 }
 
-/// A training take recites itself; the test takes are other dances.
+/// A training take recites itself; the test takes are other motions.
 #[test]
-fn recitation_tells_training_takes_from_others() {
+fn recitation_distinguishes_training_takes_from_others() {
     let Some(data) = bailando_testkit::shared("data/salsa") else {
         return;
     };

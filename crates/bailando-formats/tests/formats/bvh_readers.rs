@@ -1,6 +1,6 @@
-//! Our BVH read by somebody else's parser (PyPI `bvhio`): world positions must be those of our
-//! forward kinematics within a millimetre. Skipped, with one line, where Python or the package
-//! can't be had.
+//! BVH read by an independent parser (PyPI `bvhio`): world positions must be those of our forward
+//! kinematics within a millimetre. Skipped, with one line, where Python or the package can't be
+//! had.
 
 use std::{
     path::{Path, PathBuf},
@@ -8,10 +8,12 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bailando_formats::{BvhUnit, Dance, to_bvh};
+use bailando_formats::{BvhUnit, GeneratedMotion, to_bvh};
 use bailando_motion::{FinishOptions, Positions, forward};
 use bailando_testkit::motion::{dance_of, decoded_from, distances, fixture, recordings};
 use serde::Deserialize;
+
+use crate::motion;
 
 /// Pinned: the versions this test was seen to pass with.
 const PACKAGES: [&str; 4] = [
@@ -22,7 +24,7 @@ const PACKAGES: [&str; 4] = [
 ];
 /// Longest wait for the environment; an unreachable index must not hold up the tests.
 const INSTALL_LIMIT: Duration = Duration::from_secs(120);
-/// A millimetre: what a rigger would not see.
+/// A millimetre: a rigger would not see it.
 const TOLERANCE: f64 = 1e-3;
 
 #[test]
@@ -34,27 +36,16 @@ fn an_independent_parser_sees_our_positions() {
             return;
         }
     };
-    let options = |fps| FinishOptions {
-        fps,
-        ..FinishOptions::default()
-    };
-    let untrained = fixture("decode_raw.npy");
-    check(
-        &python,
-        "untrained",
-        &dance_of(&untrained, &options(60)),
-        BvhUnit::Centimetre,
-    );
-    check(
-        &python,
-        "metres",
-        &dance_of(&untrained, &options(20)),
-        BvhUnit::Metre,
-    );
+    check(&python, "untrained", &motion(60), BvhUnit::Centimetre);
+    check(&python, "metres", &motion(20), BvhUnit::Metre);
     if let Some(folder) = bailando_testkit::shared("data/salsa") {
         let (_, recording) = recordings(&folder).swap_remove(0);
-        let dance = dance_of(&decoded_from(&recording), &options(30));
-        check(&python, "recording", &dance, BvhUnit::Centimetre);
+        let options = FinishOptions {
+            fps: 30,
+            ..FinishOptions::default()
+        };
+        let motion = dance_of(&decoded_from(&recording), &options);
+        check(&python, "recording", &motion, BvhUnit::Centimetre);
     }
 }
 
@@ -65,73 +56,53 @@ struct Seen {
     positions: Vec<Vec<[f64; 3]>>,
 }
 
-fn check(python: &Path, name: &str, dance: &Dance, unit: BvhUnit) {
+fn check(python: &Path, name: &str, motion: &GeneratedMotion, unit: BvhUnit) {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("dance.bvh");
-    std::fs::write(&file, to_bvh(dance, unit).unwrap()).unwrap();
+    std::fs::write(&file, to_bvh(motion, unit).unwrap()).unwrap();
     let script = bailando_testkit::project("tests/python/read_bvh.py");
-    let output = Command::new(python)
+    let read = Command::new(python)
         .arg(script)
         .arg(&file)
         .output()
         .unwrap();
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{name}: {errors}");
-    let seen: Seen = serde_json::from_slice(&output.stdout).unwrap();
+    let errors = String::from_utf8_lossy(&read.stderr);
+    assert!(read.status.success(), "{name}: {errors}");
+    let seen: Seen = serde_json::from_slice(&read.stdout).unwrap();
 
-    let fps = f64::from(dance.animation.fps);
+    let fps = f64::from(motion.animation.fps);
     assert!((seen.frame_time * fps - 1.0).abs() < 1e-5);
-    let ours = forward(&dance.skeleton, &dance.animation).unwrap();
+    let ours = forward(&motion.skeleton, &motion.animation).unwrap();
     assert_eq!(seen.positions.len(), ours.dim().0);
     let metre = match unit {
         BvhUnit::Centimetre => 100.0,
         BvhUnit::Metre => 1.0,
     };
     let theirs = Positions::from_shape_fn(ours.dim(), |(frame, joint, axis)| {
-        let name = &dance.skeleton.joints[joint];
+        let name = &motion.skeleton.joints[joint];
         let index = seen.names.iter().position(|n| n == name).unwrap();
         (seen.positions[frame][index][axis] / metre) as f32
     });
     let (mean, largest) = distances(&theirs, &ours);
-    println!(
-        "bvhio, {name}: {} frames, mean {mean:.2e} m, largest {largest:.2e} m",
-        ours.dim().0
-    );
+    let frames = ours.dim().0;
+    println!("bvhio, {name}: {frames} frames, mean {mean:.2e} m, largest {largest:.2e} m");
     assert!(largest < TOLERANCE, "{name}: {largest} m");
 }
 
-/// A Python of its own under `target/`, made once.
+/// Makes a Python environment under `target/`, once.
 fn environment() -> Result<PathBuf, String> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("bvh-python");
     let bin = if cfg!(windows) { "Scripts" } else { "bin" };
     let python = folder.join(bin).join("python");
-    let works = |python: &Path| {
-        let mut import = Command::new(python);
-        import.args(["-c", "import bvhio"]);
-        run(&mut import, INSTALL_LIMIT).is_ok()
-    };
+    let works = |python: &Path| run(python, &["-c", "import bvhio"]).is_ok();
     if python.exists() && works(&python) {
         return Ok(python);
     }
-    run(
-        Command::new("python3")
-            .args(["-m", "venv", "--clear"])
-            .arg(&folder),
-        INSTALL_LIMIT,
-    )?;
-    run(
-        Command::new(&python)
-            .args([
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-            ])
-            .args(["--retries", "1", "--timeout", "10"])
-            .args(PACKAGES),
-        INSTALL_LIMIT,
-    )?;
+    let folder = folder.to_str().ok_or("the folder's name is not UTF-8")?;
+    run(Path::new("python3"), &["-m", "venv", "--clear", folder])?;
+    let install = "-m pip install --quiet --disable-pip-version-check --retries 1 --timeout 10";
+    let arguments: Vec<&str> = install.split(' ').chain(PACKAGES).collect();
+    run(&python, &arguments)?;
     if works(&python) {
         Ok(python)
     } else {
@@ -139,10 +110,11 @@ fn environment() -> Result<PathBuf, String> {
     }
 }
 
-/// Runs a command quietly, for no longer than `limit`.
-fn run(command: &mut Command, limit: Duration) -> Result<(), String> {
-    let name = command.get_program().to_string_lossy().into_owned();
-    let mut child = command
+/// Runs a program quietly, for no longer than [`INSTALL_LIMIT`].
+fn run(program: &Path, arguments: &[&str]) -> Result<(), String> {
+    let name = program.display();
+    let mut child = Command::new(program)
+        .args(arguments)
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::null())
@@ -153,14 +125,14 @@ fn run(command: &mut Command, limit: Duration) -> Result<(), String> {
         match child.try_wait() {
             Ok(Some(status)) if status.success() => return Ok(()),
             Ok(Some(status)) => return Err(format!("{name}: {status}")),
-            Ok(None) if started.elapsed() < limit => {
+            Ok(None) if started.elapsed() < INSTALL_LIMIT => {
                 std::thread::sleep(Duration::from_millis(50));
             }
             Ok(None) => {
                 // Already gone or not ours to wait for: either way there is nothing left to do.
                 let _ = child.kill();
                 let _ = child.wait();
-                return Err(format!("{name}: still running after {limit:?}"));
+                return Err(format!("{name}: still running after {INSTALL_LIMIT:?}"));
             }
             Err(error) => return Err(format!("{name}: {error}")),
         }

@@ -6,7 +6,7 @@ use tokio::time::{Instant, sleep_until};
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use crate::{
-    formats::Dance,
+    formats::GeneratedMotion,
     server::{
         error::ServerError,
         intake::Order,
@@ -94,7 +94,11 @@ async fn keep(state: SharedState, job: Arc<Job>, under_way: TaskTrackerToken) {
     }
 }
 
-async fn run(state: &SharedState, order: &mut Order, job: &Job) -> Result<Dance, ServerError> {
+async fn run(
+    state: &SharedState,
+    order: &mut Order,
+    job: &Job,
+) -> Result<GeneratedMotion, ServerError> {
     let ordered = Instant::now();
     let _slot = state.resources.job_workers.reserve(1).await;
     let mut permit = state.resources.admission.admit_unqueued().await;

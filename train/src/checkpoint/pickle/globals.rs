@@ -1,6 +1,6 @@
 //! What the names of modules and classes in a pickle stand for: never looked up, never imported.
 
-use super::{ElementType, Object, numpy::NumpyName};
+use super::{ElementType, Object, array::NumpyName};
 use crate::checkpoint::error::Problem;
 
 /// Longest name that an error repeats.

@@ -6,6 +6,7 @@
 //! any other global is refused by name. Every opcode adds at most one object whose size is bounded
 //! by the bytes read, so memory stays proportional to the pickle.
 
+mod array;
 mod globals;
 mod numpy;
 mod reader;
@@ -14,13 +15,13 @@ mod rebuild;
 mod tests_numpy;
 mod value;
 
-pub(crate) use numpy::NumpyArray;
+pub(crate) use array::NumpyArray;
 pub(crate) use value::{Arena, ElementType, Id, Object, Storage, TensorView};
 
 use std::collections::HashMap;
 
 use super::error::Problem;
-use numpy::Raw;
+use array::Raw;
 use reader::Reader;
 
 /// State dictionaries of the published size have pickles of about 0.1 MB: the pickle grows with

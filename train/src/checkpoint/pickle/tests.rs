@@ -10,7 +10,9 @@ fn problem(bytes: &[u8]) -> String {
 }
 
 /// A tensor [2, 2] of storage "7", FloatStorage with 4 values.
-const TENSOR: &[u8] = b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\n((X\x07\x00\x00\x00storagectorch\nFloatStorage\nX\x01\x00\x00\x007X\x03\x00\x00\x00cpuK\x04tQK\x00K\x02K\x02\x86K\x02K\x01\x86\x89ccollections\nOrderedDict\n)RtR";
+const TENSOR: &[u8] = b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\n((X\x07\x00\x00\x00storagector\
+    ch\nFloatStorage\nX\x01\x00\x00\x007X\x03\x00\x00\x00cpuK\x04tQK\x00K\x02K\x02\x86K\x02K\x01\
+    \x86\x89ccollections\nOrderedDict\n)RtR";
 
 #[test]
 fn integers_of_every_width_are_read() {

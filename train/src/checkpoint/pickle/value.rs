@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::numpy::{Dtype, NumpyArray, NumpyName, Raw};
+use super::array::{Dtype, NumpyArray, NumpyName, Raw};
 
 /// Index of an object in the [`Arena`].
 pub(crate) type Id = usize;

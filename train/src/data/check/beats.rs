@@ -1,4 +1,4 @@
-//! Does a beat grid go along with the beats that are heard?
+//! Comparison of a beat grid with the tracked beats.
 
 use super::facts::median;
 
@@ -10,11 +10,11 @@ const MIN_BEATS: usize = 8;
 pub(super) struct Fit {
     /// 1: always at the same place between two beats of the grid; 0: anywhere.
     pub(super) together: f64,
-    /// Mean distance of heard beats behind those of the grid, seconds.
+    /// Mean distance of tracked beats after those of the grid, seconds.
     pub(super) late_s: f64,
-    /// Number of heard beats that were compared.
+    /// Number of tracked beats that were compared.
     pub(super) count: usize,
-    /// Seconds between the places where beats are heard, at most one beat of the grid.
+    /// Seconds between the places of tracked beats, at most one beat of the grid.
     pub(super) period_s: f64,
 }
 
@@ -32,13 +32,14 @@ impl Fit {
 /// mean), so that beats found at half the count fit as well as all of them.
 pub(super) fn fit(grid: &[f64], detected: &[f64]) -> Option<Fit> {
     let period = median(&mut gaps(grid));
-    let heard = median(&mut gaps(detected));
-    if period <= 0.0 || heard <= 0.0 {
+    let tracked = median(&mut gaps(detected));
+    if period <= 0.0 || tracked <= 0.0 {
         return None;
     }
-    // Beats heard at twice the grid's rate, or at two thirds, fall on and halfway between its beats.
+    // Beats tracked at twice the grid's rate, or at two thirds, fall on and halfway between its
+    // beats.
     let whole = |fold: &f64| {
-        let ratio = fold * heard / period;
+        let ratio = fold * tracked / period;
         ratio > 0.5 && (ratio - ratio.round()).abs() < 0.1
     };
     let fold = FOLDS.into_iter().find(whole).unwrap_or(1.0);

@@ -1,4 +1,4 @@
-//! What a motion's numbers tell about it, measured without judging.
+//! Measures of a motion, without judgement.
 
 use bailando::motion::{Positions, Skeleton};
 use ndarray::ArrayView2;
@@ -11,7 +11,7 @@ const ANKLES: [usize; 2] = [7, 8];
 const FEET: [usize; 2] = [10, 11];
 const HEAD: usize = 15;
 
-/// One frame's measures come from every n-th frame: enough for means, and fast on long dances.
+/// One frame's measures come from every n-th frame: enough for means, and fast on long motions.
 const SPARSE: usize = 4;
 
 type Vector = [f64; 3];

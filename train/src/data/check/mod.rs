@@ -1,5 +1,4 @@
-//! `check-data`: what is wrong with a folder of training data, in plain words, before hours are
-//! spent on it.
+//! `check-data`: finds mistakes in a folder of training data before hours are spent on it.
 
 mod beats;
 mod facts;
@@ -22,10 +21,10 @@ pub use report::{Report, SplitSummary};
 
 use super::{DataError, Dataset, MotionSource, OpenOptions, Piece, Split};
 
-/// How much is looked at.
+/// Extent of the checks.
 #[derive(Clone, Debug)]
 pub struct CheckOptions {
-    /// What the folder does not say itself.
+    /// Facts that the folder does not hold.
     pub open: OpenOptions,
     /// Songs that are decoded, spread evenly; all without a number.
     pub songs: Option<usize>,
@@ -70,8 +69,8 @@ pub fn check(root: &Path, options: &CheckOptions) -> Result<Report, DataError> {
             frames.insert(source, found);
         }
     }
-    let heard = music::check(&dataset, &frames, options, &mut findings);
-    splits::check(&dataset, &frames, &heard, &mut findings);
+    let tracked = music::check(&dataset, &frames, options, &mut findings);
+    splits::check(&dataset, &frames, &tracked, &mut findings);
     Ok(Report {
         folder: root.to_owned(),
         layout: dataset.layout.to_string(),
@@ -79,8 +78,8 @@ pub fn check(root: &Path, options: &CheckOptions) -> Result<Report, DataError> {
             .map(|split| report::summary(&dataset, split, &frames))
             .to_vec(),
         motions_checked: by_motion.len(),
-        songs_decoded: heard.len(),
-        beats_compared: heard
+        songs_decoded: tracked.len(),
+        beats_compared: tracked
             .values()
             .filter(|song| song.as_ref().is_ok_and(|song| song.beats.is_some()))
             .count(),

@@ -26,7 +26,7 @@ const UPRIGHT: f64 = 0.5;
 const BONE_CHANGE: f64 = 0.03;
 /// Metres.
 const BONE_DIFFERENCE: f64 = 0.02;
-/// Metres per second: hands in fast dances reach about 10.
+/// Metres per second: hands in fast motion reach about 10.
 const JUMP: f64 = 15.0;
 /// The pelvis of a person, metres per second, with room for a jump or two.
 const ROOT_JUMP: f64 = 40.0;
@@ -83,7 +83,10 @@ fn declared(facts: &MotionFacts, pieces: &[&Piece], name: &str, findings: &mut F
             let rate = facts.frames as f64 / said;
             findings.add(
                 Topic::DeclaredLength,
-                format!("{id}: {said} s in the index, but {name} lasts {seconds:.2} s at 60 frames a second ({rate:.1} a second would fit)"),
+                format!(
+                    "{id}: {said} s in the index, but {name} lasts {seconds:.2} s at 60 frames \
+                         a second ({rate:.1} a second would fit)"
+                ),
             );
         }
     }
@@ -114,7 +117,10 @@ fn judge(facts: &MotionFacts, skeleton: &Skeleton, name: &str, findings: &mut Fi
         let share = 100.0 * facts.repeated;
         findings.add(
             Topic::FrameRate,
-            format!("{name}: {share:.0} % of the frames repeat the one before, as if {rate:.0} a second had been stretched"),
+            format!(
+                "{name}: {share:.0} % of the frames repeat the one before, as if {rate:.0} a \
+                     second had been stretched"
+            ),
         );
     }
     if facts.swapped > 0.8 {
@@ -188,7 +194,8 @@ fn unit(scale: f64) -> String {
         Some((name, per_metre)) => {
             let factor = 1.0 / per_metre;
             format!(
-                "bones are {scale:.1} times as long as expected: these look like {name}; factor {factor:.4}"
+                "bones are {scale:.1} times as long as expected: these look like {name}; factor \
+                 {factor:.4}"
             )
         }
         None => {

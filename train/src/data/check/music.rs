@@ -8,23 +8,23 @@ use std::{
 use super::{
     CheckOptions, beats,
     findings::{Findings, Topic},
-    songs::{Songs, listen},
+    songs::{Songs, track},
 };
 use crate::data::{Dataset, Layout, MotionSource, MusicSource, Piece, json};
 use bailando::features::Rate;
 
 /// Root mean square below which a song is silence: -80 dB.
 const SILENCE: f64 = 1e-4;
-/// Detected beats are about 28 ms late by themselves (onset envelope, FEATURES section 8).
+/// Tracked beats are always about 28 ms late (onset envelope, FEATURES section 8).
 const DETECTOR_LATE_S: f64 = 0.028;
 /// Seconds by which a grid may be off.
 const GRID_TOLERANCE_S: f64 = 0.07;
-/// Seconds by which song and dance may differ in length.
+/// Seconds by which song and motion may differ in length.
 const LENGTH_TOLERANCE_S: f64 = 0.5;
 /// Frame rates that motions come in where they were not brought to 60.
 const OTHER_RATES: [f64; 6] = [24.0, 25.0, 30.0, 50.0, 100.0, 120.0];
 
-/// Checks all music; returns what was heard.
+/// Checks all music; returns the measures.
 pub(super) fn check(
     dataset: &Dataset,
     frames: &HashMap<&MotionSource, usize>,
@@ -49,9 +49,9 @@ pub(super) fn check(
         let (count, all) = (silent_pieces.len(), dataset.pieces.len());
         findings.add(Topic::NoMusic, format!("{count} of {all} pieces"));
     }
-    let heard = listen(&chosen(&by_song, options));
+    let tracked = track(&chosen(&by_song, options));
     for (path, pieces) in &by_song {
-        match heard.get(*path) {
+        match tracked.get(*path) {
             Some(Ok(song)) => {
                 let name = super::file_name(path);
                 if song.level < SILENCE {
@@ -61,15 +61,15 @@ pub(super) fn check(
                 for piece in pieces {
                     check_length(dataset, piece, song.seconds, frames, findings);
                 }
-                if let (Some(heard), Some(piece)) = (&song.beats, pieces.first()) {
-                    check_grid(piece, heard, &name, findings);
+                if let (Some(tracked), Some(piece)) = (&song.beats, pieces.first()) {
+                    check_grid(piece, tracked, &name, findings);
                 }
             }
             Some(Err(problem)) => findings.add(Topic::AudioFile, problem.clone()),
             None => {}
         }
     }
-    heard
+    tracked
 }
 
 /// The songs to decode, and which of them to find beats in: spread evenly over the list.
@@ -120,7 +120,7 @@ fn check_length(
     }
     let id = &piece.id;
     let what = format!("{id}: the dance lasts {dance:.2} s, the song {seconds:.2} s");
-    // Elsewhere songs are whole and dances are parts of them.
+    // Elsewhere songs are whole and motions are parts of them.
     let cut_to_fit = dataset.layout == Layout::Folder;
     let rate = frames as f64 / seconds.max(1e-9);
     let other = OTHER_RATES
@@ -136,12 +136,12 @@ fn check_length(
     }
 }
 
-fn check_grid(piece: &Piece, heard: &[f64], name: &str, findings: &mut Findings) {
-    if heard.is_empty() {
+fn check_grid(piece: &Piece, tracked: &[f64], name: &str, findings: &mut Findings) {
+    if tracked.is_empty() {
         findings.add(Topic::NoBeats, name.to_owned());
         return;
     }
-    let Some(fit) = beats::fit(&piece.grid_beats_s, heard) else {
+    let Some(fit) = beats::fit(&piece.grid_beats_s, tracked) else {
         return;
     };
     let id = &piece.id;
@@ -156,7 +156,7 @@ fn check_grid(piece: &Piece, heard: &[f64], name: &str, findings: &mut Findings)
         let milliseconds = 1_000.0 * late.abs();
         let side = if late > 0.0 { "early" } else { "late" };
         let half = if fit.late_s.abs() > 0.4 * fit.period_s {
-            " (half a beat: the song's off-beats may be what is heard)"
+            " (half a beat: the tracked beats may be the off-beats)"
         } else {
             ""
         };

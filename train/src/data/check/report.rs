@@ -28,7 +28,7 @@ pub struct Report {
     pub motions_checked: usize,
     /// Songs decoded.
     pub songs_decoded: usize,
-    /// Songs whose beats were looked for.
+    /// Songs whose beats were tracked.
     pub beats_compared: usize,
     /// What is wrong or remarkable, worst first.
     pub findings: Vec<Finding>,
@@ -39,7 +39,7 @@ pub struct Report {
 pub struct SplitSummary {
     /// `train` or `test`.
     pub split: String,
-    /// Pairs of dance and song.
+    /// Pairs of motion and song.
     pub pieces: usize,
     /// Minutes of all pieces.
     pub minutes: f64,

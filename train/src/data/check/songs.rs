@@ -26,7 +26,7 @@ pub(super) struct SongFacts {
     pub(super) seconds: f64,
     /// Root mean square of the samples, full scale 1.
     pub(super) level: f64,
-    /// Seconds of the beats heard, where they were asked for.
+    /// Tracked beats in seconds, where they were asked for.
     pub(super) beats: Option<Vec<f64>>,
 }
 
@@ -34,7 +34,7 @@ pub(super) struct SongFacts {
 pub(super) type Songs = HashMap<PathBuf, Result<SongFacts, String>>;
 
 /// Decodes the songs; beats of those marked.
-pub(super) fn listen(songs: &[(&Path, bool)]) -> Songs {
+pub(super) fn track(songs: &[(&Path, bool)]) -> Songs {
     let next = AtomicUsize::new(0);
     let done = Mutex::new(Songs::new());
     let workers = thread::available_parallelism().map_or(1, NonZero::get);
@@ -54,9 +54,10 @@ pub(super) fn listen(songs: &[(&Path, bool)]) -> Songs {
     done.into_inner().unwrap_or_else(PoisonError::into_inner)
 }
 
+#[expect(clippy::expect_used, reason = "reading from memory does not fail")]
 fn facts(path: &Path, extractor: Option<&mut FeatureExtractor>) -> Result<SongFacts, DataError> {
     let bytes = files::read(path)?;
-    let hash = file_sha256(&mut bytes.as_slice()).unwrap_or_default();
+    let hash = file_sha256(&mut bytes.as_slice()).expect("reading from memory");
     // The low rate is enough for length and level, and eight times less work.
     let rate = if extractor.is_some() {
         Rate::Beats

@@ -17,7 +17,7 @@ type Names = BTreeMap<Split, BTreeSet<String>>;
 pub(super) fn check(
     dataset: &Dataset,
     frames: &HashMap<&MotionSource, usize>,
-    heard: &Songs,
+    tracked: &Songs,
     findings: &mut Findings,
 ) {
     let usable = |split| {
@@ -42,22 +42,22 @@ pub(super) fn check(
         );
     }
     check_motions(dataset, findings);
-    check_songs(dataset, heard, findings);
+    check_songs(dataset, tracked, findings);
     check_recordings(dataset, findings);
     check_pieces(dataset, findings);
 }
 
 fn check_motions(dataset: &Dataset, findings: &mut Findings) {
-    let mut hashes: HashMap<&MotionSource, String> = HashMap::new();
+    let mut hashes: HashMap<&MotionSource, Option<String>> = HashMap::new();
     let mut by_content: BTreeMap<String, Names> = BTreeMap::new();
     for piece in &dataset.pieces {
         let hash = hashes.entry(&piece.motion).or_insert_with(|| {
             let file = std::fs::File::open(piece.motion.path());
             let hash = file.and_then(|mut file| file_sha256(&mut file));
             // Files that cannot be read are reported elsewhere.
-            hash.unwrap_or_default()
+            hash.ok()
         });
-        if !hash.is_empty() {
+        if let Some(hash) = hash {
             note(
                 by_content.entry(hash.clone()).or_default(),
                 piece.split,
@@ -80,11 +80,11 @@ fn note(names: &mut Names, split: Split, motion: &MotionSource) {
         .insert(file_name(motion.path()));
 }
 
-fn check_songs(dataset: &Dataset, heard: &Songs, findings: &mut Findings) {
+fn check_songs(dataset: &Dataset, tracked: &Songs, findings: &mut Findings) {
     let mut by_content: BTreeMap<&str, Names> = BTreeMap::new();
     for piece in &dataset.pieces {
         if let Some(MusicSource::Audio(path)) = &piece.music
-            && let Some(Ok(song)) = heard.get(path)
+            && let Some(Ok(song)) = tracked.get(path)
         {
             let names = by_content.entry(song.hash.as_str()).or_default();
             names

@@ -11,8 +11,8 @@ use crate::{
     export::skeleton,
 };
 
-/// Without listening: motion tests need no songs.
-const DEAF: CheckOptions = CheckOptions {
+/// Options without songs, for the tests of motion.
+const WITHOUT_SONGS: CheckOptions = CheckOptions {
     open: OpenOptions { audio: None },
     songs: Some(0),
     beats: 0,
@@ -52,7 +52,7 @@ fn spoiled(topic: Topic, change: impl Fn(&mut Positions)) -> String {
     let mut positions = figure();
     change(&mut positions);
     folder.motion("one.npy", &positions);
-    only(&report(&folder, &DEAF), topic)
+    only(&report(&folder, &WITHOUT_SONGS), topic)
 }
 
 /// As [`spoiled`], for a change of single points.
@@ -133,7 +133,7 @@ fn bones_must_keep_their_length_and_the_skeletons() {
         pose[[15, 1]] += 0.03 * (frame as f32 / 9.0).sin();
     }
     folder.motion("one.npy", &positions);
-    let place = only(&report(&folder, &DEAF), Topic::BonesVary);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::BonesVary);
     assert!(place.starts_with("one.npy: the bone to head"), "{place}");
     // A child: every bone a quarter shorter, and the floor still at 0.
     let place = moved(Topic::BonesDiffer, |point| point.map(|value| 0.75 * value));
@@ -184,19 +184,19 @@ fn the_floor_is_judged_by_the_standing_foot() {
 fn lengths_must_agree() {
     let mut folder = good();
     folder.set("two_a", "frames", json!(599));
-    let place = only(&report(&folder, &DEAF), Topic::DeclaredLength);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::DeclaredLength);
     assert_eq!(place, "two_a: frames 599 in the index, 600 in two.npy");
     let mut folder = good();
     folder.set("two_a", "seconds", json!(20.0));
-    let place = only(&report(&folder, &DEAF), Topic::DeclaredLength);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::DeclaredLength);
     assert!(place.contains("30.0 a second would fit"), "{place}");
     let mut folder = good();
     folder.set("two_a", "fps", json!(30));
-    let place = only(&report(&folder, &DEAF), Topic::FrameRate);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::FrameRate);
     assert_eq!(place, "two_a: the index says fps 30");
     let folder = good();
     folder.motion("two.npy", &dance(&skeleton(0.93), 200, 1));
-    let report = report(&folder, &DEAF);
+    let report = report(&folder, &WITHOUT_SONGS);
     let topics: Vec<_> = report
         .findings
         .iter()
@@ -209,11 +209,11 @@ fn lengths_must_agree() {
 fn missing_and_broken_files_are_named() {
     let folder = good();
     fs::remove_file(folder.path("d.wav")).unwrap();
-    let place = only(&report(&folder, &DEAF), Topic::MissingFile);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::MissingFile);
     assert_eq!(place, "three_a: d.wav");
     let folder = good();
     fs::write(folder.path("two.npy"), "not numbers").unwrap();
-    let place = only(&report(&folder, &DEAF), Topic::MotionFile);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::MotionFile);
     assert!(
         place.contains("two.npy: this is no whole .npy file"),
         "{place}"
@@ -224,7 +224,7 @@ fn missing_and_broken_files_are_named() {
     assert!(place.contains("c.wav"), "{place}");
     let mut folder = good();
     folder.set("two_a", "split", json!("dev"));
-    let place = only(&report(&folder, &DEAF), Topic::Entry);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::Entry);
     assert!(place.contains("two_a: split is `dev`"), "{place}");
 }
 
@@ -253,11 +253,11 @@ fn songs_are_listened_to() {
 fn leaks_and_duplicates_are_found_by_content() {
     let folder = good();
     fs::copy(folder.path("three.npy"), folder.path("two.npy")).unwrap();
-    let place = only(&report(&folder, &DEAF), Topic::Leak);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::Leak);
     assert_eq!(place, "train: two.npy; test: three.npy");
     let folder = good();
     fs::copy(folder.path("one.npy"), folder.path("two.npy")).unwrap();
-    let place = only(&report(&folder, &DEAF), Topic::Duplicate);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::Duplicate);
     assert_eq!(place, "one.npy, two.npy: the same content");
     let mut folder = good();
     folder.set("three_a", "audio", json!("a.wav"));
@@ -270,16 +270,16 @@ fn leaks_and_duplicates_are_found_by_content() {
     let mut folder = good();
     folder.set("one_a", "source", json!("take 5"));
     folder.set("three_a", "source", json!("take 5"));
-    let place = only(&report(&folder, &DEAF), Topic::SharedRecording);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::SharedRecording);
     assert_eq!(place, "take 5: train: one.npy; test: three.npy");
     let mut folder = good();
     folder.set("one_b", "audio", json!("a.wav"));
-    let place = only(&report(&folder, &DEAF), Topic::Duplicate);
+    let place = only(&report(&folder, &WITHOUT_SONGS), Topic::Duplicate);
     assert!(place.contains("one_a and one_b"), "{place}");
     let mut folder = good();
     folder.set("two_a", "id", json!("one_a"));
     assert_eq!(
-        only(&report(&folder, &DEAF), Topic::DuplicateId),
+        only(&report(&folder, &WITHOUT_SONGS), Topic::DuplicateId),
         "one_a: 2 times"
     );
 }
@@ -288,16 +288,16 @@ fn leaks_and_duplicates_are_found_by_content() {
 fn splits_must_not_be_empty() {
     let mut folder = good();
     folder.set("three_a", "split", json!("train"));
-    only(&report(&folder, &DEAF), Topic::NoTest);
+    only(&report(&folder, &WITHOUT_SONGS), Topic::NoTest);
     let mut folder = good();
     for id in ["one_a", "one_b", "two_a"] {
         folder.set(id, "split", json!("test"));
     }
-    only(&report(&folder, &DEAF), Topic::NoTraining);
+    only(&report(&folder, &WITHOUT_SONGS), Topic::NoTraining);
     let mut folder = good();
     folder.set("two_a", "audio", json!(null));
     assert_eq!(
-        only(&report(&folder, &DEAF), Topic::NoMusic),
+        only(&report(&folder, &WITHOUT_SONGS), Topic::NoMusic),
         "1 of 4 pieces"
     );
 }
@@ -321,7 +321,7 @@ fn the_references_files_are_checked_as_well() {
         fs::write(folder.path().join(name), file.to_string()).unwrap();
     };
     write("a.json", 300);
-    let report = check(folder.path(), &DEAF).unwrap();
+    let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
     let topics: Vec<_> = report
         .findings
         .iter()
@@ -329,7 +329,7 @@ fn the_references_files_are_checked_as_well() {
         .collect();
     assert_eq!(topics, [Topic::StoredRows, Topic::NoTest, Topic::Layout]);
     write("a.json", 37);
-    let report = check(folder.path(), &DEAF).unwrap();
+    let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
     let topics: Vec<_> = report
         .findings
         .iter()
@@ -337,7 +337,7 @@ fn the_references_files_are_checked_as_well() {
         .collect();
     assert_eq!(topics, [Topic::NoTest, Topic::Layout]);
     write("a.json", 150);
-    let report = check(folder.path(), &DEAF).unwrap();
+    let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
     assert_eq!(report.findings[0].topic, Topic::AudioFile);
     assert!(report.findings[0].places[0].contains("150 rows of music beside 300 frames"));
 }
@@ -349,7 +349,7 @@ fn aist_motions_are_checked_as_well() {
     for name in ["aist_protocol4.pkl", "hostile.pkl"] {
         fs::copy(fixtures.join(name), folder.path().join(name)).unwrap();
     }
-    let report = check(folder.path(), &DEAF).unwrap();
+    let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
     let topics: Vec<_> = report
         .findings
         .iter()

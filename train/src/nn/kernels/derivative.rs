@@ -6,17 +6,17 @@ use burn_autodiff::{
     grads::Gradients,
     ops::{Backward, Ops, OpsKind},
 };
-use burn_tensor::{Bool, Tensor as Device, TensorPrimitive, backend::Backend};
+use burn_tensor::{Bool, Tensor, TensorPrimitive, backend::Backend};
 
 use super::{Convolution, Heads, Kernels, Queries};
 
 impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
     fn convolve(
         plan: Convolution,
-        input: Device<Self, 3>,
-        weight: Device<Self, 1>,
-        bias: Device<Self, 1>,
-    ) -> Device<Self, 3> {
+        input: Tensor<Self, 3>,
+        weight: Tensor<Self, 1>,
+        bias: Tensor<Self, 1>,
+    ) -> Tensor<Self, 3> {
         let [input, weight, bias] = [
             input.into_primitive().tensor(),
             weight.into_primitive().tensor(),
@@ -38,7 +38,7 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
         finished(ready, state, output)
     }
 
-    fn activate(input: Device<Self, 3>) -> Device<Self, 3> {
+    fn activate(input: Tensor<Self, 3>) -> Tensor<Self, 3> {
         let input = input.into_primitive().tensor();
         let output = B::activate(wrap(input.primitive.clone()));
         let ready = Activate
@@ -49,10 +49,10 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
     }
 
     fn normalise(
-        input: Device<Self, 3>,
-        weight: Device<Self, 1>,
-        bias: Device<Self, 1>,
-    ) -> Device<Self, 3> {
+        input: Tensor<Self, 3>,
+        weight: Tensor<Self, 1>,
+        bias: Tensor<Self, 1>,
+    ) -> Tensor<Self, 3> {
         let [input, weight, bias] = [
             input.into_primitive().tensor(),
             weight.into_primitive().tensor(),
@@ -71,9 +71,9 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
     fn attend(
         heads: Heads,
         queries: Queries<Self>,
-        forbidden: Device<Self, 2, Bool>,
-        kept: Option<Device<Self, 4>>,
-    ) -> Device<Self, 3> {
+        forbidden: Tensor<Self, 2, Bool>,
+        kept: Option<Tensor<Self, 4>>,
+    ) -> Tensor<Self, 3> {
         let parts = [queries.query, queries.key, queries.value];
         let parts = parts.map(|part| part.into_primitive().tensor());
         let state = Attended {
@@ -88,8 +88,8 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
         finished(ready, state, output)
     }
 
-    fn kept<const D: usize>(like: &Device<Self, D>, share: f64) -> Device<Self, D> {
-        Device::from_inner(B::kept(&like.clone().inner(), share))
+    fn kept<const D: usize>(like: &Tensor<Self, D>, share: f64) -> Tensor<Self, D> {
+        Tensor::from_inner(B::kept(&like.clone().inner(), share))
     }
 }
 
@@ -97,8 +97,8 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
 fn finished<O, B, S, C, const N: usize>(
     ready: OpsKind<O, B, S, C, N>,
     state: S,
-    output: Device<B, 3>,
-) -> Device<Autodiff<B, C>, 3>
+    output: Tensor<B, 3>,
+) -> Tensor<Autodiff<B, C>, 3>
 where
     B: Backend,
     C: CheckpointStrategy,
@@ -110,7 +110,7 @@ where
         OpsKind::Tracked(ready) => ready.finish(state, output),
         OpsKind::UnTracked(ready) => ready.finish(output),
     };
-    Device::from_primitive(TensorPrimitive::Float(tracked))
+    Tensor::from_primitive(TensorPrimitive::Float(tracked))
 }
 
 #[derive(Debug)]
@@ -172,17 +172,17 @@ type AttendedOn<B> = Attended<
 >;
 
 impl<T, M> Attended<T, M> {
-    fn unwrapped<B>(self) -> (Queries<B>, Device<B, 2, Bool>, Option<Device<B, 4>>)
+    fn unwrapped<B>(self) -> (Queries<B>, Tensor<B, 2, Bool>, Option<Tensor<B, 4>>)
     where
         B: Kernels<FloatTensorPrimitive = T, BoolTensorPrimitive = M>,
     {
         let [query, key, value] = self.parts.map(|part| wrap(part));
         let queries = Queries { query, key, value };
-        let forbidden = Device::from_primitive(self.forbidden);
+        let forbidden = Tensor::from_primitive(self.forbidden);
         (queries, forbidden, self.kept.map(|kept| wrap(kept)))
     }
 
-    fn forward<B>(self) -> Device<B, 3>
+    fn forward<B>(self) -> Tensor<B, 3>
     where
         B: Kernels<FloatTensorPrimitive = T, BoolTensorPrimitive = M>,
     {
@@ -249,13 +249,13 @@ impl<B: Kernels> Backward<B, 3> for Convolve {
 fn register<B: Backend, const D: usize>(
     gradients: &mut Gradients,
     node: Option<NodeId>,
-    gradient: Device<B, D>,
+    gradient: Tensor<B, D>,
 ) {
     if let Some(node) = node {
         gradients.register::<B>(node, gradient.into_primitive().tensor());
     }
 }
 
-fn wrap<B: Backend, const D: usize>(primitive: B::FloatTensorPrimitive) -> Device<B, D> {
-    Device::from_primitive(TensorPrimitive::Float(primitive))
+fn wrap<B: Backend, const D: usize>(primitive: B::FloatTensorPrimitive) -> Tensor<B, D> {
+    Tensor::from_primitive(TensorPrimitive::Float(primitive))
 }

@@ -3,8 +3,6 @@
 
 use std::ops::Range;
 
-use serde::{Deserialize, Serialize};
-
 /// How a convolution moves along time (ARCHITECTURE section 2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
@@ -18,19 +16,6 @@ pub enum Kind {
     Doubling,
 }
 
-/// What the factors of matrix products are rounded to. Products are summed, and all else is computed
-/// and kept, in float32: weights and moments do not lose small steps. float16 is not offered: its
-/// range would need scaled losses.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Precision {
-    /// To nothing: float32.
-    #[default]
-    F32,
-    /// To bfloat16, for accelerators with matrix units.
-    Bf16,
-}
-
 /// A convolution's plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Convolution {
@@ -42,8 +27,6 @@ pub struct Convolution {
     pub inputs: usize,
     /// Channels of the output.
     pub outputs: usize,
-    /// What its products are computed in.
-    pub precision: Precision,
 }
 
 /// One matrix product: columns of the lowered input times rows of the kernel.
@@ -58,7 +41,7 @@ pub(super) struct Product {
 }
 
 impl Convolution {
-    /// Whether every frame is mapped by itself.
+    /// Whether every frame is mapped alone.
     pub(super) fn is_linear(self) -> bool {
         self.kind == Kind::Pointwise && !self.rectified
     }
@@ -107,8 +90,8 @@ impl Convolution {
             output: 0,
         };
         match self.kind {
-            // Output `2i` is tap 3 of frame `i - 1` and tap 1 of frame `i`; output `2i + 1` is tap 2
-            // of frame `i` and tap 0 of frame `i + 1`.
+            // Output `2i` is tap 3 of frame `i - 1` and tap 1 of frame `i`; output `2i + 1` is tap
+            // 2 of frame `i` and tap 0 of frame `i + 1`.
             Kind::Doubling => vec![
                 Product {
                     frames: 0..2,

@@ -1,40 +1,40 @@
 //! The kernels in a backend's own tensor operations, derivatives by its own rules' formulas.
 
 use burn_tensor::{
-    Bool, Distribution, FloatDType, Tensor as Device, TensorPrimitive,
+    Bool, Distribution, Tensor, TensorPrimitive,
     activation::{relu, softmax},
     backend::Backend,
 };
 
 use super::{
-    AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kind, NORM_EPSILON,
-    NormGradients, Precision, Queries, lowering::Product,
+    AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kind, NORM_EPSILON, Queries,
+    lowering::Product,
 };
 
 pub(super) fn convolve<B: Backend>(
     plan: Convolution,
-    input: Device<B, 3>,
-    weight: Device<B, 1>,
-    bias: Device<B, 1>,
-) -> Device<B, 3> {
+    input: Tensor<B, 3>,
+    weight: Tensor<B, 1>,
+    bias: Tensor<B, 1>,
+) -> Tensor<B, 3> {
     let [batch, time, _] = input.dims();
     let outputs = plan.outputs;
     let lowered = lower(plan, input);
     let parts = plan.products().into_iter().map(|product| {
         let columns = columns(plan, &product, lowered.clone());
-        multiplied(plan, columns, kernel_rows(plan, &product, weight.clone()))
+        columns.matmul(kernel_rows(plan, &product, weight.clone()))
     });
-    let together = Device::cat(parts.collect(), 1);
+    let together = Tensor::cat(parts.collect(), 1);
     let frames = plan.rows(time) * plan.outputs_per_row();
     together.reshape([batch, frames, outputs]) + bias.reshape([1, 1, outputs])
 }
 
 pub(super) fn convolve_backward<B: Backend>(
     plan: Convolution,
-    input: Device<B, 3>,
-    weight: Device<B, 1>,
-    outer: Device<B, 3>,
-) -> ConvolutionGradients<B> {
+    input: Tensor<B, 3>,
+    weight: Tensor<B, 1>,
+    outer: Tensor<B, 3>,
+) -> AffineGradients<B> {
     let [batch, time, channels] = input.dims();
     let (rows, outputs) = (batch * plan.rows(time), plan.outputs);
     let device = input.device();
@@ -43,19 +43,19 @@ pub(super) fn convolve_backward<B: Backend>(
         .clone()
         .reshape([rows, plan.outputs_per_row() * outputs]);
     let width = plan.frames() * channels;
-    let mut by_lowered = Device::zeros([rows, width], &device);
-    let mut by_kernel: Vec<Option<Device<B, 2>>> = vec![None; plan.kernel()];
+    let mut by_lowered = Tensor::zeros([rows, width], &device);
+    let mut by_kernel: Vec<Option<Tensor<B, 2>>> = vec![None; plan.kernel()];
     for product in plan.products() {
         let outer = wide.clone().narrow(1, product.output * outputs, outputs);
         let from = product.frames.start * channels;
         let length = product.frames.len() * channels;
         let rows_of_kernel = kernel_rows(plan, &product, weight.clone()).transpose();
-        let change = multiplied(plan, outer.clone(), rows_of_kernel);
-        let before = Device::zeros([rows, from], &device);
-        let after = Device::zeros([rows, width - from - length], &device);
-        by_lowered = by_lowered + Device::cat(vec![before, change, after], 1);
+        let change = outer.clone().matmul(rows_of_kernel);
+        let before = Tensor::zeros([rows, from], &device);
+        let after = Tensor::zeros([rows, width - from - length], &device);
+        by_lowered = by_lowered + Tensor::cat(vec![before, change, after], 1);
         let columns = columns(plan, &product, lowered.clone());
-        let change = multiplied(plan, columns.transpose(), outer);
+        let change = columns.transpose().matmul(outer);
         for (place, &tap) in product.taps.iter().enumerate() {
             if let Some(slot) = by_kernel.get_mut(tap) {
                 *slot = Some(change.clone().narrow(0, place * channels, channels));
@@ -72,38 +72,23 @@ pub(super) fn convolve_backward<B: Backend>(
     } else {
         by_input
     };
-    ConvolutionGradients {
+    AffineGradients {
         input: by_input,
-        weight: Device::cat(by_kernel.into_iter().flatten().collect(), 0)
+        weight: Tensor::cat(by_kernel.into_iter().flatten().collect(), 0)
             .reshape([plan.kernel() * channels * outputs]),
         bias: outer.sum_dim(0).sum_dim(1).reshape([outputs]),
     }
 }
 
-/// A matrix product in the plan's precision.
-fn multiplied<B: Backend>(
-    plan: Convolution,
-    left: Device<B, 2>,
-    right: Device<B, 2>,
-) -> Device<B, 2> {
-    match plan.precision {
-        Precision::F32 => left.matmul(right),
-        Precision::Bf16 => {
-            let [left, right] = [left, right].map(|factor| factor.cast(FloatDType::BF16));
-            left.matmul(right).cast(FloatDType::F32)
-        }
-    }
-}
-
 /// `[batch, time, in]` to `[batch * rows, frames * in]`.
-fn lower<B: Backend>(plan: Convolution, input: Device<B, 3>) -> Device<B, 2> {
+fn lower<B: Backend>(plan: Convolution, input: Tensor<B, 3>) -> Tensor<B, 2> {
     let [batch, time, channels] = input.dims();
     let input = if plan.rectified { relu(input) } else { input };
     let rows = plan.rows(time);
     let slices = |padding: usize, step: usize, count: usize| {
         let padded = padded(input.clone(), padding);
         let slices = (0..count).map(|frame| padded.clone().narrow(1, frame * step, rows));
-        Device::cat(slices.collect(), 2)
+        Tensor::cat(slices.collect(), 2)
     };
     let lowered = match plan.kind {
         Kind::Pointwise => input,
@@ -113,14 +98,14 @@ fn lower<B: Backend>(plan: Convolution, input: Device<B, 3>) -> Device<B, 2> {
             // Two neighbouring frames side by side: a kernel of 4 is a kernel of 2 over pairs.
             let pairs = padded(input, 1).reshape([batch, rows + 1, 2 * channels]);
             let slices = (0..2).map(|pair| pairs.clone().narrow(1, pair, rows));
-            Device::cat(slices.collect(), 2)
+            Tensor::cat(slices.collect(), 2)
         }
     };
     lowered.reshape([batch * rows, plan.frames() * channels])
 }
 
 /// The transpose of [`lower`]: every value goes back to the frame that it came from.
-fn raise<B: Backend>(plan: Convolution, lowered: Device<B, 3>, time: usize) -> Device<B, 3> {
+fn raise<B: Backend>(plan: Convolution, lowered: Tensor<B, 3>, time: usize) -> Tensor<B, 3> {
     let [batch, rows, width] = lowered.dims();
     let channels = width / plan.frames();
     let device = lowered.device();
@@ -134,12 +119,12 @@ fn raise<B: Backend>(plan: Convolution, lowered: Device<B, 3>, time: usize) -> D
     let parts = (0..plan.frames() / unit).map(|frame| {
         let width = unit * channels;
         let slice = lowered.clone().narrow(2, frame * width, width);
-        let zeros = |length| Device::zeros([batch, length, width], &device);
+        let zeros = |length| Tensor::zeros([batch, length, width], &device);
         let before = frame * step;
-        Device::cat(vec![zeros(before), slice, zeros(total - before - rows)], 1)
+        Tensor::cat(vec![zeros(before), slice, zeros(total - before - rows)], 1)
     });
     let summed = parts.reduce(|sum, part| sum + part);
-    let summed = summed.unwrap_or_else(|| Device::zeros([batch, total, unit * channels], &device));
+    let summed = summed.unwrap_or_else(|| Tensor::zeros([batch, total, unit * channels], &device));
     summed
         .reshape([batch, time + 2 * padding, channels])
         .narrow(1, padding, time)
@@ -148,8 +133,8 @@ fn raise<B: Backend>(plan: Convolution, lowered: Device<B, 3>, time: usize) -> D
 fn columns<B: Backend>(
     plan: Convolution,
     product: &Product,
-    lowered: Device<B, 2>,
-) -> Device<B, 2> {
+    lowered: Tensor<B, 2>,
+) -> Tensor<B, 2> {
     let channels = plan.inputs;
     lowered.narrow(
         1,
@@ -162,29 +147,29 @@ fn columns<B: Backend>(
 fn kernel_rows<B: Backend>(
     plan: Convolution,
     product: &Product,
-    weight: Device<B, 1>,
-) -> Device<B, 2> {
+    weight: Tensor<B, 1>,
+) -> Tensor<B, 2> {
     let (channels, outputs) = (plan.inputs, plan.outputs);
-    let weight: Device<B, 2> = weight.reshape([plan.kernel() * channels, outputs]);
+    let weight: Tensor<B, 2> = weight.reshape([plan.kernel() * channels, outputs]);
     let taps = product.taps.iter();
     let parts = taps.map(|tap| weight.clone().narrow(0, tap * channels, channels));
-    Device::cat(parts.collect(), 0)
+    Tensor::cat(parts.collect(), 0)
 }
 
 /// Zeros of `length` frames at both ends.
-fn padded<B: Backend>(input: Device<B, 3>, length: usize) -> Device<B, 3> {
+fn padded<B: Backend>(input: Tensor<B, 3>, length: usize) -> Tensor<B, 3> {
     let [batch, _, channels] = input.dims();
-    let zeros = Device::zeros([batch, length, channels], &input.device());
-    Device::cat(vec![zeros.clone(), input, zeros], 1)
+    let zeros = Tensor::zeros([batch, length, channels], &input.device());
+    Tensor::cat(vec![zeros.clone(), input, zeros], 1)
 }
 
-pub(super) fn gelu_backward<B: Backend>(input: Device<B, 3>, outer: Device<B, 3>) -> Device<B, 3> {
+pub(super) fn gelu_backward<B: Backend>(input: Tensor<B, 3>, outer: Tensor<B, 3>) -> Tensor<B, 3> {
     let [input, outer] = [input, outer].map(|tensor| tensor.into_primitive().tensor());
-    Device::from_primitive(TensorPrimitive::Float(B::gelu_backward(input, outer)))
+    Tensor::from_primitive(TensorPrimitive::Float(B::gelu_backward(input, outer)))
 }
 
 /// Rows at mean 0 and spread 1, and one over their spread.
-fn standardised<B: Backend>(input: Device<B, 3>) -> (Device<B, 3>, Device<B, 3>) {
+fn standardised<B: Backend>(input: Tensor<B, 3>) -> (Tensor<B, 3>, Tensor<B, 3>) {
     let centred = input.clone() - input.mean_dim(2);
     let variance = centred.clone().square().mean_dim(2);
     let scale = variance.add_scalar(NORM_EPSILON).sqrt().recip();
@@ -192,26 +177,26 @@ fn standardised<B: Backend>(input: Device<B, 3>) -> (Device<B, 3>, Device<B, 3>)
 }
 
 pub(super) fn normalise<B: Backend>(
-    input: Device<B, 3>,
-    weight: Device<B, 1>,
-    bias: Device<B, 1>,
-) -> Device<B, 3> {
+    input: Tensor<B, 3>,
+    weight: Tensor<B, 1>,
+    bias: Tensor<B, 1>,
+) -> Tensor<B, 3> {
     let (standard, _) = standardised(input);
     standard * weight.unsqueeze::<3>() + bias.unsqueeze::<3>()
 }
 
 pub(super) fn normalise_backward<B: Backend>(
-    input: Device<B, 3>,
-    weight: Device<B, 1>,
-    outer: Device<B, 3>,
-) -> NormGradients<B> {
+    input: Tensor<B, 3>,
+    weight: Tensor<B, 1>,
+    outer: Tensor<B, 3>,
+) -> AffineGradients<B> {
     let [channels] = weight.dims();
     let (standard, scale) = standardised(input);
-    let rows = |tensor: Device<B, 3>| tensor.sum_dim(0).sum_dim(1).reshape([channels]);
+    let rows = |tensor: Tensor<B, 3>| tensor.sum_dim(0).sum_dim(1).reshape([channels]);
     let by_standard = outer.clone() * weight.unsqueeze::<3>();
     let plain = by_standard.clone().mean_dim(2);
     let along = (by_standard.clone() * standard.clone()).mean_dim(2);
-    NormGradients {
+    AffineGradients {
         input: scale * (by_standard - plain - standard.clone() * along),
         weight: rows(outer.clone() * standard),
         bias: rows(outer),
@@ -219,7 +204,7 @@ pub(super) fn normalise_backward<B: Backend>(
 }
 
 /// `[batch, length, channels]` to `[batch, heads, length, size]`.
-fn split<B: Backend>(heads: Heads, tensor: Device<B, 3>) -> Device<B, 4> {
+fn split<B: Backend>(heads: Heads, tensor: Tensor<B, 3>) -> Tensor<B, 4> {
     let [batch, length, channels] = tensor.dims();
     let size = channels / heads.count;
     let tensor = tensor.reshape([batch, length, heads.count, size]);
@@ -227,7 +212,7 @@ fn split<B: Backend>(heads: Heads, tensor: Device<B, 3>) -> Device<B, 4> {
 }
 
 /// The opposite of [`split`].
-fn joined<B: Backend>(tensor: Device<B, 4>) -> Device<B, 3> {
+fn joined<B: Backend>(tensor: Tensor<B, 4>) -> Tensor<B, 3> {
     let [batch, heads, length, size] = tensor.dims();
     tensor
         .swap_dims(1, 2)
@@ -237,10 +222,10 @@ fn joined<B: Backend>(tensor: Device<B, 4>) -> Device<B, 3> {
 /// Shares of the values, `[batch, heads, length, length]`, and the factor of the scores.
 fn shares<B: Backend>(
     heads: Heads,
-    query: Device<B, 3>,
-    key: Device<B, 3>,
-    forbidden: Device<B, 2, Bool>,
-) -> (Device<B, 4>, f64) {
+    query: Tensor<B, 3>,
+    key: Tensor<B, 3>,
+    forbidden: Tensor<B, 2, Bool>,
+) -> (Tensor<B, 4>, f64) {
     let (query, key) = (split(heads, query), split(heads, key));
     let [batch, heads, length, size] = query.dims();
     let scale = 1.0 / (size as f64).sqrt();
@@ -254,7 +239,7 @@ fn shares<B: Backend>(
     )
 }
 
-fn dropped<B: Backend>(shares: Device<B, 4>, kept: Option<Device<B, 4>>) -> Device<B, 4> {
+fn dropped<B: Backend>(shares: Tensor<B, 4>, kept: Option<Tensor<B, 4>>) -> Tensor<B, 4> {
     match kept {
         Some(kept) => shares * kept,
         None => shares,
@@ -264,9 +249,9 @@ fn dropped<B: Backend>(shares: Device<B, 4>, kept: Option<Device<B, 4>>) -> Devi
 pub(super) fn attend<B: Backend>(
     heads: Heads,
     queries: Queries<B>,
-    forbidden: Device<B, 2, Bool>,
-    kept: Option<Device<B, 4>>,
-) -> Device<B, 3> {
+    forbidden: Tensor<B, 2, Bool>,
+    kept: Option<Tensor<B, 4>>,
+) -> Tensor<B, 3> {
     let (shares, _) = shares(heads, queries.query, queries.key, forbidden);
     joined(dropped(shares, kept).matmul(split(heads, queries.value)))
 }
@@ -274,9 +259,9 @@ pub(super) fn attend<B: Backend>(
 pub(super) fn attend_backward<B: Backend>(
     heads: Heads,
     queries: Queries<B>,
-    forbidden: Device<B, 2, Bool>,
-    kept: Option<Device<B, 4>>,
-    outer: Device<B, 3>,
+    forbidden: Tensor<B, 2, Bool>,
+    kept: Option<Tensor<B, 4>>,
+    outer: Tensor<B, 3>,
 ) -> AttentionGradients<B> {
     let Queries { query, key, value } = queries;
     let (shares, scale) = shares(heads, query.clone(), key.clone(), forbidden);
@@ -296,10 +281,10 @@ pub(super) fn attend_backward<B: Backend>(
 
 pub(super) fn descend<B: Backend>(
     step: Descent,
-    tensor: Device<B, 1>,
-    gradient: Device<B, 1>,
-    [first, second]: [Device<B, 1>; 2],
-) -> (Device<B, 1>, [Device<B, 1>; 2]) {
+    tensor: Tensor<B, 1>,
+    gradient: Tensor<B, 1>,
+    [first, second]: [Tensor<B, 1>; 2],
+) -> (Tensor<B, 1>, [Tensor<B, 1>; 2]) {
     let ([beta1, beta2], [correction1, correction2]) = (step.betas, step.corrections);
     let first = first.mul_scalar(beta1) + gradient.clone().mul_scalar(1.0 - beta1);
     let second = second.mul_scalar(beta2) + gradient.square().mul_scalar(1.0 - beta2);
@@ -309,7 +294,7 @@ pub(super) fn descend<B: Backend>(
     (tensor - change, [first, second])
 }
 
-pub(super) fn kept<B: Backend, const D: usize>(like: &Device<B, D>, share: f64) -> Device<B, D> {
+pub(super) fn kept<B: Backend, const D: usize>(like: &Tensor<B, D>, share: f64) -> Tensor<B, D> {
     let kept = like.random_like(Distribution::Bernoulli(1.0 - share));
     kept.mul_scalar(1.0 / (1.0 - share))
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use bailando::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, WeightStorage};
 use serde::{Deserialize, Serialize};
 
-use super::at_least_one;
+use super::checks::at_least_one;
 
 /// Stage `export`.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -5,26 +5,29 @@ use std::path::{Path, PathBuf};
 use bailando::{features::Profile, model::MAX_COUNT_PERIODS, motion::MotionFrame};
 use serde::{Deserialize, Serialize};
 
+use self::checks::{not_negative, within};
+pub use self::{
+    ablation::AblationConfig,
+    optimiser::{Schedule, TrainingConfig},
+    stages::CheckpointPolicy,
+};
 pub(super) use self::{
     export::ExportConfig,
     stages::{ActorCriticConfig, AdaptConfig, GptConfig, Hear, VelocityConfig, VqVaeConfig},
 };
-pub use self::{
-    optimiser::{Schedule, TrainingConfig},
-    stages::Keep,
-};
-use super::{AblationConfig, TrainError};
+use super::error::TrainError;
 use crate::data::{JOINTS, PHASES};
-use crate::nn::Precision;
 
+mod ablation;
+mod checks;
 mod export;
 mod optimiser;
 mod stages;
 
-/// The file that says every setting, with a comment on each.
+/// The file that has every setting, with a comment on each.
 const BASE: &str = include_str!("../../../presets/paper.toml");
 
-/// Everything that a run can be told; `train/presets/paper.toml` explains every field.
+/// Every setting of a run; `train/presets/paper.toml` explains every field.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[expect(missing_docs, reason = "the commented preset is the documentation")]
@@ -56,7 +59,7 @@ pub struct DataConfig {
 }
 
 impl DataConfig {
-    /// Motion columns that the root's decoder gives.
+    /// Returns the motion columns that the root's decoder gives.
     pub(super) fn root_columns(&self) -> &'static [usize] {
         match self.frame {
             MotionFrame::World => &[0, 1, 2],
@@ -84,12 +87,12 @@ impl DataConfig {
         Ok(())
     }
 
-    /// Folder of the songs, where they are kept apart.
+    /// Returns the folder of the songs, where they are kept apart.
     pub(super) fn audio_folder(&self) -> Option<&Path> {
         Some(self.audio.as_path()).filter(|folder| !folder.as_os_str().is_empty())
     }
 
-    /// Folder of the music features, where it is not the usual one.
+    /// Returns the folder of the music features, where it is not the usual one.
     pub(super) fn cache_folder(&self) -> Option<&Path> {
         Some(self.cache.as_path()).filter(|folder| !folder.as_os_str().is_empty())
     }
@@ -101,7 +104,6 @@ impl DataConfig {
 pub struct RunConfig {
     pub folder: PathBuf,
     pub device: String,
-    pub precision: Precision,
     pub seed: u64,
     pub checkpoint_seconds: f64,
     pub log_steps: u64,
@@ -146,6 +148,15 @@ impl Config {
         Ok(config)
     }
 
+    /// Returns the published settings.
+    #[expect(
+        clippy::expect_used,
+        reason = "a file of this crate, which a test reads"
+    )]
+    pub(super) fn published() -> Self {
+        Self::parse("").expect("the published settings are valid")
+    }
+
     fn check(&self) -> Result<(), String> {
         let trainings = [
             ("vqvae", &self.vqvae.training),
@@ -174,36 +185,13 @@ impl Config {
         within("run.", self.run.check())
     }
 
-    /// Start phases that the GPT learns from.
+    /// Returns the number of start phases that the GPT learns from.
     pub(super) fn gpt_phases(&self) -> usize {
         match self.gpt.phases {
             0 => self.data.phases,
             phases => phases,
         }
     }
-}
-
-/// Says where in the file a mistake is.
-fn within(place: &str, checked: Result<(), String>) -> Result<(), String> {
-    checked.map_err(|mistake| format!("{place}{mistake}"))
-}
-
-/// Refuses sizes of nothing.
-fn at_least_one<const N: usize>(sizes: [(&str, usize); N]) -> Result<(), String> {
-    match sizes.into_iter().find(|&(_, size)| size == 0) {
-        Some((name, _)) => Err(format!("{name} must be at least 1")),
-        None => Ok(()),
-    }
-}
-
-/// Refuses numbers below 0, infinities, and what is no number.
-fn not_negative<const N: usize>(numbers: [(&str, f64); N]) -> Result<(), String> {
-    let wrong = numbers
-        .into_iter()
-        .find(|(_, value)| !(*value >= 0.0 && value.is_finite()));
-    wrong.map_or(Ok(()), |(name, value)| {
-        Err(format!("{name} ({value}) must be a number of 0 or more"))
-    })
 }
 
 /// Replaces values of `base` by those of `other`, table by table.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::not_negative;
+use super::checks::not_negative;
 
 /// Length and optimiser of a stage.
 #[derive(Clone, Debug, Serialize, Deserialize)]

@@ -2,13 +2,16 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{TrainingConfig, at_least_one, not_negative};
-use crate::training::{FRAMES_PER_CODE, reward::BeatReward};
+use super::{
+    checks::{at_least_one, not_negative, within_range},
+    optimiser::TrainingConfig,
+};
+use crate::{data::FRAMES_PER_CODE, training::reward::BeatReward};
 
 /// Which weights of a finished stage are used afterwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Keep {
+pub enum CheckpointPolicy {
     /// Those of the last step.
     Last,
     /// Those with the lowest test loss.
@@ -31,7 +34,7 @@ pub struct VqVaeConfig {
     pub restart_below: f64,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
-    pub keep: Keep,
+    pub checkpoint_policy: CheckpointPolicy,
 }
 
 impl VqVaeConfig {
@@ -47,10 +50,7 @@ impl VqVaeConfig {
             ("commitment", self.commitment),
             ("restart_below", self.restart_below),
         ])?;
-        let decay = self.decay;
-        if !(0.0..1.0).contains(&decay) {
-            return Err(format!("decay ({decay}) must lie in 0..1"));
-        }
+        within_range([("decay", self.decay)], 0.0..1.0, "0..1")?;
         check_crops(self.frames, self.stride)
     }
 }
@@ -66,7 +66,7 @@ pub struct VelocityConfig {
     pub speed_weight: f64,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
-    pub keep: Keep,
+    pub checkpoint_policy: CheckpointPolicy,
 }
 
 impl VelocityConfig {
@@ -82,7 +82,8 @@ impl VelocityConfig {
 fn check_crops(frames: usize, stride: usize) -> Result<(), String> {
     if frames == 0 || !frames.is_multiple_of(FRAMES_PER_CODE) || stride == 0 {
         return Err(format!(
-            "frames ({frames}) must be a multiple of {FRAMES_PER_CODE} and stride ({stride}) at least 1"
+            "frames ({frames}) must be a multiple of {FRAMES_PER_CODE} and stride ({stride}) at \
+             least 1"
         ));
     }
     Ok(())
@@ -109,19 +110,14 @@ pub struct GptConfig {
     pub standardise_music: bool,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
-    pub keep: Keep,
+    pub checkpoint_policy: CheckpointPolicy,
 }
 
 impl GptConfig {
     /// `phases`: those of the data.
     pub(super) fn check(&self, phases: usize) -> Result<(), String> {
         let Self {
-            channels,
-            heads,
-            dropout,
-            code_noise,
-            slip_share,
-            ..
+            channels, heads, ..
         } = self;
         at_least_one([
             ("channels", *channels),
@@ -140,17 +136,11 @@ impl GptConfig {
                 "phases ({asked}) must lie in 0..={phases}, the phases of [data]"
             ));
         }
-        if !(0.0..1.0).contains(dropout) {
-            return Err(format!("dropout ({dropout}) must lie in 0..1"));
-        }
-        if !(0.0..1.0).contains(code_noise) {
-            return Err(format!("code_noise ({code_noise}) must lie in 0..1"));
-        }
-        if !(0.0..=1.0).contains(slip_share) {
-            return Err(format!("slip_share ({slip_share}) must lie in 0..=1"));
-        }
-        if *slip_share > 0.0 && self.slip_frames == 0 {
-            return Err("slip_frames must be at least 1 where there are slips".into());
+        let shares = [("dropout", self.dropout), ("code_noise", self.code_noise)];
+        within_range(shares, 0.0..1.0, "0..1")?;
+        within_range([("slip_share", self.slip_share)], 0.0..=1.0, "0..=1")?;
+        if self.slip_share > 0.0 && self.slip_frames == 0 {
+            return Err("slip_frames must be at least 1 where slip_share is not 0".into());
         }
         Ok(())
     }
@@ -162,8 +152,8 @@ impl GptConfig {
 pub enum Hear {
     /// All, as published.
     All,
-    /// Onsets, beats and counts. Few songs are told apart by timbre and harmony alone, and a new one
-    /// sounds like none of them.
+    /// Onsets, beats and counts. Timbre and harmony identify the few training songs, and a new
+    /// song is like none of them.
     Rhythm,
 }
 
@@ -205,11 +195,8 @@ impl ActorCriticConfig {
             return Err("actor_steps must be at least 1".into());
         }
         at_least_one([("critic_layers", self.critic_layers), ("takes", self.takes)])?;
-        for (name, share) in [("continued", self.continued), ("kept", self.kept)] {
-            if !(0.0..=1.0).contains(&share) {
-                return Err(format!("{name} ({share}) must lie in 0..=1"));
-            }
-        }
+        let shares = [("continued", self.continued), ("kept", self.kept)];
+        within_range(shares, 0.0..=1.0, "0..=1")?;
         not_negative([
             ("beat_weight", self.beat_weight),
             ("consistency_weight", self.consistency_weight),

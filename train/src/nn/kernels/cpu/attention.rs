@@ -1,7 +1,7 @@
-//! Attention: every head of every piece by itself, by one thread.
+//! Attention: one thread computes all heads of a piece.
 
 use burn_flex::Flex;
-use burn_tensor::{Bool, Tensor as Device};
+use burn_tensor::{Bool, Tensor};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, Slice, linalg::general_mat_mul};
 use rayon::prelude::*;
 
@@ -39,6 +39,7 @@ impl Piece<'_> {
     }
 
     /// Shares of the values in each result, `[length, length]`, before any are dropped.
+    #[expect(clippy::expect_used, reason = "a fresh array is contiguous")]
     fn shares(&self, head: usize) -> Array2<f32> {
         let length = self.query.nrows();
         let query = self.query.slice_axis(Axis(1), self.columns(head));
@@ -47,7 +48,7 @@ impl Piece<'_> {
         general_mat_mul(self.scale(), &query, &key.t(), 0.0, &mut shares);
         let rows = shares
             .as_slice_mut()
-            .unwrap_or_default()
+            .expect("fresh zeros are contiguous")
             .chunks_mut(length.max(1));
         for (row, forbidden) in rows.zip(self.forbidden.chunks(length.max(1))) {
             soften(row, forbidden);
@@ -135,8 +136,8 @@ impl Batch {
     fn new(
         heads: Heads,
         queries: Queries<Flex>,
-        forbidden: Device<Flex, 2, Bool>,
-        kept: Option<Device<Flex, 4>>,
+        forbidden: Tensor<Flex, 2, Bool>,
+        kept: Option<Tensor<Flex, 4>>,
     ) -> Self {
         let [_, length, channels] = queries.query.dims();
         Self {
@@ -177,9 +178,9 @@ impl Batch {
 pub(super) fn attend(
     heads: Heads,
     queries: Queries<Flex>,
-    forbidden: Device<Flex, 2, Bool>,
-    kept: Option<Device<Flex, 4>>,
-) -> Device<Flex, 3> {
+    forbidden: Tensor<Flex, 2, Bool>,
+    kept: Option<Tensor<Flex, 4>>,
+) -> Tensor<Flex, 3> {
     let shape = queries.query.dims();
     let batch = Batch::new(heads, queries, forbidden, kept);
     let mut output = vec![0.0; shape.iter().product()];
@@ -196,9 +197,9 @@ pub(super) fn attend(
 pub(super) fn attend_backward(
     heads: Heads,
     queries: Queries<Flex>,
-    forbidden: Device<Flex, 2, Bool>,
-    kept: Option<Device<Flex, 4>>,
-    outer: Device<Flex, 3>,
+    forbidden: Tensor<Flex, 2, Bool>,
+    kept: Option<Tensor<Flex, 4>>,
+    outer: Tensor<Flex, 3>,
 ) -> AttentionGradients<Flex> {
     let shape = queries.query.dims();
     let batch = Batch::new(heads, queries, forbidden, kept);

@@ -1,12 +1,12 @@
 //! Convolutions: every group of pieces is lowered and multiplied on its own, by one thread.
 
 use burn_flex::Flex;
-use burn_tensor::Tensor as Device;
+use burn_tensor::Tensor;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, Slice, linalg::general_mat_mul};
 use rayon::prelude::*;
 
 use super::{
-    super::{Convolution, ConvolutionGradients, lowering::Product},
+    super::{AffineGradients, Convolution, lowering::Product},
     add, host, tensor, values,
 };
 
@@ -16,50 +16,50 @@ const GROUP_ROWS: usize = 240;
 
 pub(super) fn convolve(
     plan: Convolution,
-    input: Device<Flex, 3>,
-    weight: Device<Flex, 1>,
-    bias: Device<Flex, 1>,
-) -> Device<Flex, 3> {
+    input: Tensor<Flex, 3>,
+    weight: Tensor<Flex, 1>,
+    bias: Tensor<Flex, 1>,
+) -> Tensor<Flex, 3> {
     let [batch, time, _] = input.dims();
     let (input, weight, bias) = (host(input), host(weight), host(bias));
-    let work = Work::new(plan, time, values(&weight));
-    let mut output = vec![0.0; batch * work.output_length()];
+    let grouped = Grouped::new(plan, time, values(&weight));
+    let mut output = vec![0.0; batch * grouped.output_length()];
     output
-        .par_chunks_mut((work.group() * work.output_length()).max(1))
-        .zip(values(&input).par_chunks((work.group() * work.input_length()).max(1)))
-        .for_each(|(output, input)| work.forward(input, values(&bias), output));
+        .par_chunks_mut((grouped.group() * grouped.output_length()).max(1))
+        .zip(values(&input).par_chunks((grouped.group() * grouped.input_length()).max(1)))
+        .for_each(|(output, input)| grouped.forward(input, values(&bias), output));
     let frames = plan.rows(time) * plan.outputs_per_row();
     tensor(output, [batch, frames, plan.outputs])
 }
 
 pub(super) fn convolve_backward(
     plan: Convolution,
-    input: Device<Flex, 3>,
-    weight: Device<Flex, 1>,
-    outer: Device<Flex, 3>,
-) -> ConvolutionGradients<Flex> {
+    input: Tensor<Flex, 3>,
+    weight: Tensor<Flex, 1>,
+    outer: Tensor<Flex, 3>,
+) -> AffineGradients<Flex> {
     let shape = input.dims();
     let [_, time, _] = shape;
     let (input, weight, outer) = (host(input), host(weight), host(outer));
-    let work = Work::new(plan, time, values(&weight));
+    let grouped = Grouped::new(plan, time, values(&weight));
     let mut by_input = vec![0.0; values(&input).len()];
-    let group = work.group();
+    let group = grouped.group();
     let changes: Vec<Changes> = by_input
-        .par_chunks_mut((group * work.input_length()).max(1))
-        .zip(values(&input).par_chunks((group * work.input_length()).max(1)))
-        .zip(values(&outer).par_chunks((group * work.output_length()).max(1)))
-        .map(|((by_input, input), outer)| work.backward(input, outer, by_input))
+        .par_chunks_mut((group * grouped.input_length()).max(1))
+        .zip(values(&input).par_chunks((group * grouped.input_length()).max(1)))
+        .zip(values(&outer).par_chunks((group * grouped.output_length()).max(1)))
+        .map(|((by_input, input), outer)| grouped.backward(input, outer, by_input))
         .collect();
     let mut weight_change = vec![0.0; values(&weight).len()];
     let mut bias_change = vec![0.0; plan.outputs];
     for change in &changes {
-        for (products, change) in work.products.iter().zip(&change.kernels) {
+        for (products, change) in grouped.products.iter().zip(&change.kernels) {
             products.add_to(change, &mut weight_change);
         }
         add(&mut bias_change, &change.bias);
     }
     let (weights, biases) = (weight_change.len(), bias_change.len());
-    ConvolutionGradients {
+    AffineGradients {
         input: tensor(by_input, shape),
         weight: tensor(weight_change, [weights]),
         bias: tensor(bias_change, [biases]),
@@ -92,9 +92,13 @@ impl Prepared {
     }
 
     /// Adds the derivative of this part to that of the whole kernel.
+    #[expect(clippy::expect_used, reason = "a fresh product is contiguous")]
     fn add_to(&self, change: &Array2<f32>, whole: &mut [f32]) {
         let length = self.inputs * self.kernel.ncols();
-        let parts = change.as_slice().unwrap_or_default().chunks(length.max(1));
+        let parts = change
+            .as_slice()
+            .expect("a product is contiguous")
+            .chunks(length.max(1));
         for (&tap, part) in self.product.taps.iter().zip(parts) {
             let Some(slot) = whole.get_mut(tap * length..(tap + 1) * length) else {
                 continue;
@@ -105,14 +109,14 @@ impl Prepared {
 }
 
 /// A convolution of pieces of one length.
-struct Work {
+struct Grouped {
     plan: Convolution,
     time: usize,
     rows: usize,
     products: Vec<Prepared>,
 }
 
-impl Work {
+impl Grouped {
     fn new(plan: Convolution, time: usize, weight: &[f32]) -> Self {
         let length = plan.inputs * plan.outputs;
         let products = plan.products().into_iter().map(|product| {
@@ -224,7 +228,7 @@ impl Work {
         lowered
     }
 
-    /// The transpose of [`Work::lower`], and of the rectifier.
+    /// The transpose of [`Grouped::lower`], and of the rectifier.
     fn raise(&self, rows: &[f32], input: &[f32], raised: &mut [f32]) {
         let channels = self.plan.inputs;
         let length = self.input_length().max(1);

@@ -1,7 +1,7 @@
 //! Adam in one pass over a tensor and its moments.
 
 use burn_flex::{Flex, FlexTensor};
-use burn_tensor::{Tensor as Device, TensorPrimitive};
+use burn_tensor::{Tensor, TensorPrimitive};
 use rayon::prelude::*;
 
 use super::{super::Descent, host, values};
@@ -11,10 +11,10 @@ const PART: usize = 16_384;
 
 pub(super) fn descend(
     step: Descent,
-    tensor: Device<Flex, 1>,
-    gradient: Device<Flex, 1>,
-    [first, second]: [Device<Flex, 1>; 2],
-) -> (Device<Flex, 1>, [Device<Flex, 1>; 2]) {
+    tensor: Tensor<Flex, 1>,
+    gradient: Tensor<Flex, 1>,
+    [first, second]: [Tensor<Flex, 1>; 2],
+) -> (Tensor<Flex, 1>, [Tensor<Flex, 1>; 2]) {
     let gradient = host(gradient);
     let [mut tensor, mut first, mut second] = [tensor, first, second].map(host);
     let [beta1, beta2] = step.betas.map(|beta| beta as f32);
@@ -37,6 +37,6 @@ pub(super) fn descend(
                 *value -= *first * rate / ((*second / correction2).sqrt() + epsilon);
             }
         });
-    let wrap = |tensor: FlexTensor| Device::from_primitive(TensorPrimitive::Float(tensor));
+    let wrap = |tensor: FlexTensor| Tensor::from_primitive(TensorPrimitive::Float(tensor));
     (wrap(tensor), [wrap(first), wrap(second)])
 }

@@ -1,11 +1,11 @@
-//! What is done to every value or row by itself, many values at a time.
+//! Operations on single values or rows, many values at a time.
 
 use burn_flex::Flex;
-use burn_tensor::{Distribution, Tensor as Device};
+use burn_tensor::{Distribution, Tensor};
 use rayon::prelude::*;
 
 use super::{
-    super::{NORM_EPSILON, NormGradients},
+    super::{AffineGradients, NORM_EPSILON},
     add, host, tensor, values,
 };
 
@@ -56,7 +56,7 @@ fn normal(x: f32) -> (f32, f32) {
     (below, DENSITY * fall)
 }
 
-pub(super) fn gelu(input: Device<Flex, 3>) -> Device<Flex, 3> {
+pub(super) fn gelu(input: Tensor<Flex, 3>) -> Tensor<Flex, 3> {
     let shape = input.dims();
     let input = host(input);
     let mut output = vec![0.0; values(&input).len()];
@@ -71,7 +71,7 @@ pub(super) fn gelu(input: Device<Flex, 3>) -> Device<Flex, 3> {
     tensor(output, shape)
 }
 
-pub(super) fn gelu_backward(input: Device<Flex, 3>, outer: Device<Flex, 3>) -> Device<Flex, 3> {
+pub(super) fn gelu_backward(input: Tensor<Flex, 3>, outer: Tensor<Flex, 3>) -> Tensor<Flex, 3> {
     let shape = input.dims();
     let (input, outer) = (host(input), host(outer));
     let mut output = vec![0.0; values(&input).len()];
@@ -101,10 +101,10 @@ fn sum(values: impl Iterator<Item = f32>) -> f32 {
 }
 
 pub(super) fn normalise(
-    input: Device<Flex, 3>,
-    weight: Device<Flex, 1>,
-    bias: Device<Flex, 1>,
-) -> Device<Flex, 3> {
+    input: Tensor<Flex, 3>,
+    weight: Tensor<Flex, 1>,
+    bias: Tensor<Flex, 1>,
+) -> Tensor<Flex, 3> {
     let shape = input.dims();
     let channels = shape[2].max(1);
     let (input, weight, bias) = (host(input), host(weight), host(bias));
@@ -127,10 +127,10 @@ pub(super) fn normalise(
 }
 
 pub(super) fn normalise_backward(
-    input: Device<Flex, 3>,
-    weight: Device<Flex, 1>,
-    outer: Device<Flex, 3>,
-) -> NormGradients<Flex> {
+    input: Tensor<Flex, 3>,
+    weight: Tensor<Flex, 1>,
+    outer: Tensor<Flex, 3>,
+) -> AffineGradients<Flex> {
     let shape = input.dims();
     let channels = shape[2].max(1);
     let (input, weight, outer) = (host(input), host(weight), host(outer));
@@ -162,7 +162,7 @@ pub(super) fn normalise_backward(
         }
         tensor(total, [channels])
     };
-    NormGradients {
+    AffineGradients {
         weight: total(0),
         bias: total(1),
         input: tensor(by_input, shape),
@@ -200,10 +200,10 @@ fn mixed(seed: u64, count: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-pub(super) fn kept<const D: usize>(like: &Device<Flex, D>, share: f64) -> Device<Flex, D> {
+pub(super) fn kept<const D: usize>(like: &Tensor<Flex, D>, share: f64) -> Tensor<Flex, D> {
     let shape = like.dims();
     // The backend's own generator, which the run seeds, gives the seed.
-    let seed = Device::<Flex, 1>::random([4], Distribution::Uniform(0.0, 65_536.0), &like.device());
+    let seed = Tensor::<Flex, 1>::random([4], Distribution::Uniform(0.0, 65_536.0), &like.device());
     let seed = values(&host(seed))
         .iter()
         .fold(0, |seed, &part| seed << 16 | u64::from(part as u16));
@@ -238,7 +238,7 @@ mod tests {
 
     #[test]
     fn a_share_is_dropped_and_the_rest_scaled_up() {
-        let like = Device::<Flex, 2>::zeros([300, 400], &Default::default());
+        let like = Tensor::<Flex, 2>::zeros([300, 400], &Default::default());
         let kept = host(kept(&like, 0.25));
         let zeros = values(&kept).iter().filter(|&&x| x == 0.0).count();
         assert!((zeros as f64 / 120_000.0 - 0.25).abs() < 0.01, "{zeros}");

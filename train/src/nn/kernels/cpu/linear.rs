@@ -1,12 +1,11 @@
-//! Linear maps: one product of all rows, by the backend's own multiplication, which divides it among
-//! threads by itself.
+//! Linear maps: one product of all rows, by the backend's multi-threaded multiplication.
 
 use burn_flex::Flex;
-use burn_tensor::{Tensor as Device, TensorPrimitive};
+use burn_tensor::{Tensor, TensorPrimitive};
 use rayon::prelude::*;
 
 use super::{
-    super::{Convolution, ConvolutionGradients},
+    super::{AffineGradients, Convolution},
     add, host, tensor, values,
 };
 
@@ -15,10 +14,10 @@ const ROWS: usize = 256;
 
 pub(super) fn map(
     plan: Convolution,
-    input: Device<Flex, 3>,
-    weight: Device<Flex, 1>,
-    bias: Device<Flex, 1>,
-) -> Device<Flex, 3> {
+    input: Tensor<Flex, 3>,
+    weight: Tensor<Flex, 1>,
+    bias: Tensor<Flex, 1>,
+) -> Tensor<Flex, 3> {
     let [batch, length, _] = input.dims();
     let rows = input.reshape([batch * length, plan.inputs]);
     let product = rows.matmul(weight.reshape([plan.inputs, plan.outputs]));
@@ -31,23 +30,23 @@ pub(super) fn map(
                 add(row, values(&bias));
             }
         });
-    let product: Device<Flex, 2> = Device::from_primitive(TensorPrimitive::Float(product));
+    let product: Tensor<Flex, 2> = Tensor::from_primitive(TensorPrimitive::Float(product));
     product.reshape([batch, length, plan.outputs])
 }
 
 pub(super) fn map_backward(
     plan: Convolution,
-    input: Device<Flex, 3>,
-    weight: Device<Flex, 1>,
-    outer: Device<Flex, 3>,
-) -> ConvolutionGradients<Flex> {
+    input: Tensor<Flex, 3>,
+    weight: Tensor<Flex, 1>,
+    outer: Tensor<Flex, 3>,
+) -> AffineGradients<Flex> {
     let [batch, length, _] = input.dims();
     let rows = input.reshape([batch * length, plan.inputs]);
     let outer = outer.reshape([batch * length, plan.outputs]);
     let weight = weight.reshape([plan.inputs, plan.outputs]);
     let by_input = outer.clone().matmul(weight.transpose());
     let by_weight = rows.transpose().matmul(outer.clone());
-    ConvolutionGradients {
+    AffineGradients {
         input: by_input.reshape([batch, length, plan.inputs]),
         weight: by_weight.reshape([plan.inputs * plan.outputs]),
         bias: column_sums(outer, plan.outputs),
@@ -55,7 +54,7 @@ pub(super) fn map_backward(
 }
 
 /// Sums over all rows, group by group and then in order.
-fn column_sums(rows: Device<Flex, 2>, columns: usize) -> Device<Flex, 1> {
+fn column_sums(rows: Tensor<Flex, 2>, columns: usize) -> Tensor<Flex, 1> {
     let rows = host(rows);
     let parts: Vec<Vec<f32>> = values(&rows)
         .par_chunks((ROWS * columns).max(1))

@@ -1,8 +1,7 @@
 //! The kernels on a CPU.
 //!
 //! How work is divided among threads depends on its size alone, and parts are summed in order, so
-//! results do not depend on the number of threads. Products in less than float32 are left to the
-//! plain kernels: slower here, but what an accelerator computes.
+//! results do not depend on the number of threads.
 
 mod attention;
 mod convolution;
@@ -11,23 +10,17 @@ mod elementwise;
 mod linear;
 
 use burn_flex::{Flex, FlexTensor};
-use burn_tensor::{Bool, Tensor as Device, TensorData, TensorPrimitive};
+use burn_tensor::{Bool, Tensor, TensorData, TensorPrimitive};
 
-use super::{
-    AttentionGradients, Convolution, ConvolutionGradients, Descent, Heads, Kernels, NormGradients,
-    Precision, Queries, plain,
-};
+use super::{AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kernels, Queries};
 
 impl Kernels for Flex {
     fn convolve(
         plan: Convolution,
-        input: Device<Self, 3>,
-        weight: Device<Self, 1>,
-        bias: Device<Self, 1>,
-    ) -> Device<Self, 3> {
-        if plan.precision != Precision::F32 {
-            return plain::convolve(plan, input, weight, bias);
-        }
+        input: Tensor<Self, 3>,
+        weight: Tensor<Self, 1>,
+        bias: Tensor<Self, 1>,
+    ) -> Tensor<Self, 3> {
         if plan.is_linear() {
             return linear::map(plan, input, weight, bias);
         }
@@ -36,72 +29,69 @@ impl Kernels for Flex {
 
     fn convolve_backward(
         plan: Convolution,
-        input: Device<Self, 3>,
-        weight: Device<Self, 1>,
-        outer: Device<Self, 3>,
-    ) -> ConvolutionGradients<Self> {
-        if plan.precision != Precision::F32 {
-            return plain::convolve_backward(plan, input, weight, outer);
-        }
+        input: Tensor<Self, 3>,
+        weight: Tensor<Self, 1>,
+        outer: Tensor<Self, 3>,
+    ) -> AffineGradients<Self> {
         if plan.is_linear() {
             return linear::map_backward(plan, input, weight, outer);
         }
         convolution::convolve_backward(plan, input, weight, outer)
     }
 
-    fn activate(input: Device<Self, 3>) -> Device<Self, 3> {
+    fn activate(input: Tensor<Self, 3>) -> Tensor<Self, 3> {
         elementwise::gelu(input)
     }
 
-    fn activate_backward(input: Device<Self, 3>, outer: Device<Self, 3>) -> Device<Self, 3> {
+    fn activate_backward(input: Tensor<Self, 3>, outer: Tensor<Self, 3>) -> Tensor<Self, 3> {
         elementwise::gelu_backward(input, outer)
     }
 
     fn normalise(
-        input: Device<Self, 3>,
-        weight: Device<Self, 1>,
-        bias: Device<Self, 1>,
-    ) -> Device<Self, 3> {
+        input: Tensor<Self, 3>,
+        weight: Tensor<Self, 1>,
+        bias: Tensor<Self, 1>,
+    ) -> Tensor<Self, 3> {
         elementwise::normalise(input, weight, bias)
     }
 
     fn normalise_backward(
-        input: Device<Self, 3>,
-        weight: Device<Self, 1>,
-        outer: Device<Self, 3>,
-    ) -> NormGradients<Self> {
+        input: Tensor<Self, 3>,
+        weight: Tensor<Self, 1>,
+        outer: Tensor<Self, 3>,
+    ) -> AffineGradients<Self> {
         elementwise::normalise_backward(input, weight, outer)
     }
 
     fn attend(
         heads: Heads,
         queries: Queries<Self>,
-        forbidden: Device<Self, 2, Bool>,
-        kept: Option<Device<Self, 4>>,
-    ) -> Device<Self, 3> {
+        forbidden: Tensor<Self, 2, Bool>,
+        kept: Option<Tensor<Self, 4>>,
+    ) -> Tensor<Self, 3> {
         attention::attend(heads, queries, forbidden, kept)
     }
 
     fn attend_backward(
         heads: Heads,
         queries: Queries<Self>,
-        forbidden: Device<Self, 2, Bool>,
-        kept: Option<Device<Self, 4>>,
-        outer: Device<Self, 3>,
+        forbidden: Tensor<Self, 2, Bool>,
+        kept: Option<Tensor<Self, 4>>,
+        outer: Tensor<Self, 3>,
     ) -> AttentionGradients<Self> {
         attention::attend_backward(heads, queries, forbidden, kept, outer)
     }
 
     fn descend(
         step: Descent,
-        tensor: Device<Self, 1>,
-        gradient: Device<Self, 1>,
-        moments: [Device<Self, 1>; 2],
-    ) -> (Device<Self, 1>, [Device<Self, 1>; 2]) {
+        tensor: Tensor<Self, 1>,
+        gradient: Tensor<Self, 1>,
+        moments: [Tensor<Self, 1>; 2],
+    ) -> (Tensor<Self, 1>, [Tensor<Self, 1>; 2]) {
         descent::descend(step, tensor, gradient, moments)
     }
 
-    fn kept<const D: usize>(like: &Device<Self, D>, share: f64) -> Device<Self, D> {
+    fn kept<const D: usize>(like: &Tensor<Self, D>, share: f64) -> Tensor<Self, D> {
         elementwise::kept(like, share)
     }
 }
@@ -114,16 +104,20 @@ fn add(sums: &mut [f32], values: &[f32]) {
 }
 
 /// The tensor with its values in order.
-fn host<const D: usize>(tensor: Device<Flex, D>) -> FlexTensor {
+fn host<const D: usize>(tensor: Tensor<Flex, D>) -> FlexTensor {
     tensor.into_primitive().tensor().to_contiguous()
 }
 
-/// The values of a tensor from [`host`].
+/// Returns the values of a tensor from [`host`].
+#[expect(
+    clippy::expect_used,
+    reason = "all tensors of the trainer are contiguous float32 here"
+)]
 fn values(tensor: &FlexTensor) -> &[f32] {
-    tensor.as_slice().unwrap_or_default()
+    tensor.as_slice().expect("contiguous float32")
 }
 
-fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Device<Flex, D> {
+fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Tensor<Flex, D> {
     let primitive = FlexTensor::from_data(TensorData::new(values, shape));
-    Device::from_primitive(TensorPrimitive::Float(primitive))
+    Tensor::from_primitive(TensorPrimitive::Float(primitive))
 }

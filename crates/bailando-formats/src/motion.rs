@@ -1,0 +1,115 @@
+//! The result of a generation.
+
+use std::time::Duration;
+
+use bailando_motion::{Animation, Positions, PositionsSource, Skeleton};
+use serde::{Serialize, Serializer};
+
+use crate::{codes::Codes, continuation::Continuation, error::FormatError};
+
+/// Tempo and beats of the music (column 53 at 30,720 Hz, profile 0.11).
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = Music))]
+pub struct MusicInfo {
+    /// Beats per minute; 0 when none were found.
+    pub tempo_bpm: f64,
+    /// Beats in seconds from the start of the motion.
+    pub beats_s: Vec<f64>,
+}
+
+/// Wall time per stage; milliseconds where it is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Timings {
+    /// Waiting in the queue, then for the model.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub queue: Duration,
+    /// Decoding and resampling the audio.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub decode: Duration,
+    /// Music features.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub features: Duration,
+    /// Codes and decoded motion.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub inference: Duration,
+    /// Rotations, floor and frame rate.
+    #[serde(serialize_with = "milliseconds")]
+    #[cfg_attr(feature = "openapi", schema(value_type = f64))]
+    pub motion: Duration,
+}
+
+fn milliseconds<S: Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(time.as_micros() as f64 / 1000.0)
+}
+
+/// Motion on a skeleton, and how it came about.
+#[derive(Clone, Debug)]
+pub struct GeneratedMotion {
+    /// Name of the model, from its manifest.
+    pub model: String,
+    /// The seed that was used.
+    pub seed: u64,
+    /// Rest skeleton.
+    pub skeleton: Skeleton,
+    /// Rotations and root, standing on the floor y = 0; carries the frame rate.
+    pub animation: Animation,
+    /// Joint positions `[frames, joints, 3]`, metres, standing on the floor y = 0.
+    pub positions: Positions,
+    /// Where the positions come from.
+    pub positions_source: PositionsSource,
+    /// The pose codes.
+    pub codes: Codes,
+    /// Tempo and beats, when asked for.
+    pub music: Option<MusicInfo>,
+    /// Wall time per stage.
+    pub timings: Timings,
+    /// What was trimmed, truncated or assumed, in plain words.
+    pub warnings: Vec<String>,
+    /// The end, from which another motion can continue.
+    pub continuation: Option<Continuation>,
+}
+
+impl GeneratedMotion {
+    /// Checks that the parts fit together and are finite: formats rely on it.
+    pub(crate) fn check(&self) -> Result<(), FormatError> {
+        let fail = |message: String| Err(FormatError::Inconsistent(message));
+        if let Err(error) = self.skeleton.validate() {
+            return fail(error.to_string());
+        }
+        let joints = self.skeleton.joints.len();
+        let Animation {
+            fps,
+            root,
+            rotations,
+        } = &self.animation;
+        if *fps == 0 {
+            return fail("0 frames per second".into());
+        }
+        let frames = root.len();
+        if rotations.len() != frames || self.positions.dim() != (frames, joints, 3) {
+            return fail(format!(
+                "{frames} roots, {} frames of rotations, positions {:?} for {joints} joints",
+                rotations.len(),
+                self.positions.shape()
+            ));
+        }
+        if let Some(frame) = rotations.iter().position(|pose| pose.len() != joints) {
+            return fail(format!("not {joints} rotations in frame {frame}"));
+        }
+        let finite = root.iter().all(|p| p.is_finite())
+            && rotations.iter().flatten().all(|q| q.is_finite())
+            && self.positions.iter().all(|v| v.is_finite());
+        if !finite {
+            return fail("a value is not finite".into());
+        }
+        if !rotations.iter().flatten().all(|q| q.is_normalized()) {
+            return fail("a rotation is not of unit length".into());
+        }
+        Ok(())
+    }
+}
