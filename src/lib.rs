@@ -2,7 +2,8 @@
 //! GPT with Choreographic Memory" (CVPR 2022), as an HTTP service.
 //!
 //! The service is three layers over the crates that it re-exports: [`engine`] schedules a
-//! generation, [`server`] is HTTP only, [`mod@bench`] measures both. The crates know nothing of the
+//! generation, [`options`] reads its options from text, [`server`] is HTTP only, [`mod@bench`]
+//! measures both. The crates know nothing of the
 //! service: [`audio`] (bytes to PCM) → [`features`] (PCM to 438 columns) → [`model`] (ONNX Runtime)
 //! → [`motion`] (kinematics) → [`formats`] (JSON, BVH), and beside them [`evaluation`] and
 //! [`codebook`].
@@ -11,6 +12,7 @@ pub mod bench;
 pub mod engine;
 #[doc(hidden)]
 pub mod fuzzing;
+pub mod options;
 mod resident;
 pub mod server;
 

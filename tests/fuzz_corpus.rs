@@ -1,8 +1,6 @@
 //! The corpora of the fuzz targets on any compiler: every file and mutations of it, through the
 //! functions that the targets call.
 
-#![expect(clippy::unwrap_used, reason = "a test fails loudly")]
-
 use bailando::{audio, fuzzing, model};
 use bailando_testkit::{corpus::Corpus, project};
 

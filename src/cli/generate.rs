@@ -10,15 +10,14 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    audio::{AudioLimits, AudioRange},
-    engine::{Engine, EngineConfig, GenerationOptions, GenerationRequest, MAX_CANDIDATES},
+    audio::AudioLimits,
+    engine::{Engine, EngineConfig, GenerationRequest, MAX_CANDIDATES},
     features::{COLUMNS, with_counts},
-    formats::{Codes, Continuation, GeneratedMotion},
-    model::WindowKind,
+    formats::{Codes, GeneratedMotion, OutputFormat},
     motion,
     npy::read_array,
+    options::RequestOptions,
 };
-use clap::{ArgAction, ValueEnum};
 use ndarray::Array2;
 
 use super::{
@@ -36,83 +35,14 @@ pub(super) struct GenerateArgs {
     audio: Vec<PathBuf>,
     #[command(flatten)]
     output: OutputArgs,
+    #[command(flatten)]
+    options: RequestOptions,
     /// Model directory
     #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
     model_dir: PathBuf,
     /// Threads that compute one step of the model [default: all cores]
     #[arg(long, env = "BAILANDO_THREADS")]
     threads: Option<NonZeroUsize>,
-    #[command(flatten)]
-    sampling: SamplingArgs,
-    /// The `tail` in the JSON of an earlier dance, which the new one continues
-    #[arg(long, value_name = "TAIL")]
-    continue_from: Option<Continuation>,
-    #[command(flatten)]
-    song: SongArgs,
-    #[command(flatten)]
-    rows: RowsArgs,
-}
-
-/// How the dance is chosen; absent options have the model's own defaults.
-#[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Sampling")]
-struct SamplingArgs {
-    /// The same seed and song give the same dance; drawn if absent
-    #[arg(long)]
-    seed: Option<u64>,
-    /// 0 takes the most likely code, as in the paper; higher is freer
-    #[arg(long)]
-    temperature: Option<f32>,
-    /// Draw from this many most likely codes only
-    #[arg(long)]
-    top_k: Option<usize>,
-    /// How strongly the dance follows the music's beat: 1 as the model predicts, above it more so,
-    /// below it less; other than 1 costs twice as much
-    #[arg(long)]
-    guidance: Option<f32>,
-    /// Candidates for every two to four seconds of dance; the best is kept: its beats lie nearest
-    /// to the music's, and few of its frames stand still. The cost grows with them. Always one
-    /// with --features, which carry no beats
-    #[arg(long)]
-    candidates: Option<usize>,
-    /// Whether two to four seconds of dance in which the dancer stands still (of several candidates
-    /// also: goes to the ground) are generated again, up to three times and with at most 12
-    /// candidates in all [default: the model's, and true with several candidates]
-    #[arg(long, value_name = "BOOL")]
-    redo: Option<bool>,
-    /// First pose code of the upper body
-    #[arg(long)]
-    start_upper: Option<u32>,
-    /// First pose code of the lower body
-    #[arg(long)]
-    start_lower: Option<u32>,
-    /// How the window of past codes moves: hop is fast, sliding is what the paper's code does
-    #[arg(long, value_enum)]
-    window: Option<WindowArg>,
-    /// Codes kept when a hop window shrinks
-    #[arg(long)]
-    hop: Option<usize>,
-}
-
-/// How the song is used.
-#[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Song and motion")]
-struct SongArgs {
-    /// Where in the song to begin, in seconds
-    #[arg(long, default_value_t = 0.0)]
-    offset_s: f64,
-    /// How much of the song to use, in seconds
-    #[arg(long)]
-    duration_s: Option<f64>,
-    /// Frames per second: 20, 24, 30 or 60
-    #[arg(long, default_value_t = 60)]
-    fps: u32,
-    /// Whether the dancer travels; false keeps it in place
-    #[arg(long, default_value_t = true, action = ArgAction::Set, value_name = "BOOL")]
-    root_motion: bool,
-    /// Find the music's tempo and beats [default: true for JSON]
-    #[arg(long, action = ArgAction::Set, value_name = "BOOL")]
-    music: Option<bool>,
     /// Longest song in seconds
     #[arg(
         long,
@@ -121,6 +51,8 @@ struct SongArgs {
         value_parser = positive_seconds
     )]
     max_audio_seconds: f64,
+    #[command(flatten)]
+    rows: RowsArgs,
 }
 
 /// From feature rows instead of audio.
@@ -146,12 +78,6 @@ struct RowsArgs {
     positions_out: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum WindowArg {
-    Hop,
-    Sliding,
-}
-
 pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<()> {
     match &args.rows.features {
         Some(features) => from_rows(args, features),
@@ -167,49 +93,11 @@ impl GenerateArgs {
             // Enough for all that the options allow.
             batch: 2 * MAX_CANDIDATES,
             audio: AudioLimits {
-                max_seconds: self.song.max_audio_seconds,
+                max_seconds: self.max_audio_seconds,
                 ..AudioLimits::default()
             },
             ..defaults
         })?)
-    }
-
-    fn options(&self, music: bool) -> GenerationOptions {
-        let SamplingArgs {
-            seed,
-            temperature,
-            top_k,
-            guidance,
-            candidates,
-            redo,
-            start_upper,
-            start_lower,
-            window,
-            hop,
-        } = self.sampling;
-        GenerationOptions {
-            seed,
-            temperature,
-            top_k,
-            guidance,
-            candidates,
-            redo,
-            start_upper,
-            start_lower,
-            continue_from: self.continue_from.clone(),
-            window: window.map(|window| match window {
-                WindowArg::Hop => WindowKind::Hop,
-                WindowArg::Sliding => WindowKind::Sliding,
-            }),
-            hop,
-            range: AudioRange {
-                offset_s: self.song.offset_s,
-                duration_s: self.song.duration_s,
-            },
-            fps: self.song.fps,
-            root_motion: self.song.root_motion,
-            music: self.song.music.unwrap_or(music),
-        }
     }
 }
 
@@ -218,7 +106,7 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
     let inputs = audio_files(&args.audio)?;
     let targets = args.output.targets(&inputs)?;
     let engine = args.open()?;
-    engine.check(&args.options(false))?;
+    engine.check(&args.options.generation(OutputFormat::Bvh))?;
     let mut first_failure = None;
     let mut failures = 0;
     for (input, (target, format)) in inputs.iter().zip(&targets) {
@@ -250,13 +138,16 @@ fn one_song(
 ) -> anyhow::Result<()> {
     let started = Instant::now();
     let audio = fs::read(input)?;
-    let options = args.options(format == FileFormat::Json);
+    let options = args.options.generation(match format {
+        FileFormat::Json => OutputFormat::Json,
+        FileFormat::Bvh | FileFormat::Npy => OutputFormat::Bvh,
+    });
     let bar = Arc::new(Bar::new(&input.display().to_string()));
     let request = GenerationRequest::audio(audio, options).with_progress(Arc::clone(&bar) as _);
     let output = engine.generate(request)?;
     let dance = output.into_motion(engine.manifest());
     drop(bar);
-    args.output.write(&dance, target, format)?;
+    args.output.write(&dance, target, format, &args.options)?;
     report(&dance, target, started);
     Ok(())
 }
@@ -291,7 +182,8 @@ fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
     let engine = args.open()?;
     let rows = with_columns_of(&engine, rows, args, features);
     let bar = Arc::new(Bar::new(&features.display().to_string()));
-    let request = GenerationRequest::features(rows, args.options(false)).with_progress(bar);
+    let request = GenerationRequest::features(rows, args.options.generation(OutputFormat::Bvh))
+        .with_progress(bar);
     let output = engine.generate(request)?;
     let (codes, seed) = (output.codes.upper.len(), output.seed);
     if let Some(path) = codes_out {

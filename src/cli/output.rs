@@ -7,8 +7,9 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    formats::{BvhUnit, Encoding, GeneratedMotion, JsonOptions, OutputFormat},
+    formats::{GeneratedMotion, JsonOptions, OutputFormat},
     motion::Positions,
+    options::RequestOptions,
 };
 use clap::ValueEnum;
 
@@ -34,12 +35,6 @@ pub(super) struct OutputArgs {
     /// Add local rotations and the root's path to JSON
     #[arg(long)]
     include_rotations: bool,
-    /// Positions in JSON: json for nested arrays, base64 for packed little-endian float32
-    #[arg(long, value_enum, default_value = "json")]
-    encoding: EncodingArg,
-    /// Unit of length in BVH
-    #[arg(long, value_enum, default_value = "cm")]
-    bvh_unit: UnitArg,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -47,18 +42,6 @@ pub(super) enum FileFormat {
     Json,
     Bvh,
     Npy,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum EncodingArg {
-    Json,
-    Base64,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum UnitArg {
-    Cm,
-    M,
 }
 
 impl FileFormat {
@@ -132,6 +115,7 @@ impl OutputArgs {
         dance: &GeneratedMotion,
         path: &Path,
         format: FileFormat,
+        options: &RequestOptions,
     ) -> anyhow::Result<()> {
         let format = match format {
             FileFormat::Npy => return write_positions(path, &dance.positions),
@@ -140,16 +124,9 @@ impl OutputArgs {
         };
         let json = JsonOptions {
             rotations: self.include_rotations,
-            encoding: match self.encoding {
-                EncodingArg::Json => Encoding::Json,
-                EncodingArg::Base64 => Encoding::Base64,
-            },
+            ..options.json()
         };
-        let unit = match self.bvh_unit {
-            UnitArg::Cm => BvhUnit::Centimetre,
-            UnitArg::M => BvhUnit::Metre,
-        };
-        let bytes = format.write(dance, &json, unit);
+        let bytes = format.write(dance, &json, options.bvh_unit());
         write_file(path, bytes?)
     }
 }

@@ -1,5 +1,4 @@
-//! What a caller is told when something is wrong: the one place where errors become a status and
-//! an `error_type`.
+//! Errors as callers see them: the one place where they become a status and an `error_type`.
 
 use axum::{
     body::Body,
@@ -7,13 +6,15 @@ use axum::{
     response::IntoResponse,
 };
 use serde::Serialize;
-use tokio::sync::AcquireError;
 use utoipa::ToSchema;
 
 use super::config::{ByteSize, Seconds};
-use crate::{audio::AudioError, engine::EngineError, features::FeatureError, formats::FormatError};
+use crate::{
+    audio::AudioError, engine::EngineError, features::FeatureError, formats::FormatError,
+    options::OptionError,
+};
 
-/// The body of every answer that is not a success.
+/// The body of every response that is not a success.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct ErrorBody {
     /// What was wrong and what is accepted.
@@ -26,7 +27,7 @@ pub struct ErrorBody {
     pub request_id: String,
 }
 
-/// Last event of a stream that went wrong.
+/// Last event of a stream that failed.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub(crate) struct ErrorEvent {
     /// `error`.
@@ -44,85 +45,127 @@ impl ErrorEvent {
     }
 }
 
-/// Anything that keeps a request from its result.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum ServerError {
-    #[error("option `{name}`: {problem}")]
-    Option { name: String, problem: String },
-    #[error("{0}")]
-    Multipart(String),
-    #[error(
-        "no audio was sent: send a file as part `file` of multipart/form-data, or as the body itself with content type audio/*"
-    )]
-    MissingAudio,
-    #[error("there is nothing at {path}: GET /docs lists what there is")]
-    NotFound { path: String },
-    #[error("{path} does not answer to {method}: GET /docs lists what it answers to")]
-    MethodNotAllowed { path: String, method: String },
-    #[error("the Accept header asks for {asked:?}, which is not available: expected {available}")]
-    NotAcceptable { asked: String, available: String },
-    #[error(
-        "the body was not sent in time: {idle} s without data and {total} s in all are allowed"
-    )]
-    UploadTimeout { idle: Seconds, total: Seconds },
-    #[error("the upload broke off before its end")]
-    UploadBroken,
-    #[error(
-        "the audio is larger than {limit}: up to {lossy} is accepted, up to {lossless} for wav and flac"
-    )]
-    TooLarge {
-        limit: ByteSize,
-        lossy: ByteSize,
-        lossless: ByteSize,
-    },
-    #[error("{0}")]
-    UnsupportedMedia(String),
-    #[error("{queue} requests are waiting already: try again in {} s", retry_after.retry_after())]
-    QueueFull { queue: usize, retry_after: Seconds },
-    #[error("{most} uploads are on their way already: try again in {} s", retry_after.retry_after())]
-    TooManyUploads { most: usize, retry_after: Seconds },
-    #[error("uploads take all of the {memory} that the server holds for them: try again in {} s", retry_after.retry_after())]
-    UploadMemory {
-        memory: ByteSize,
-        retry_after: Seconds,
-    },
-    #[error("answers take all of the {memory} that the server holds for their readers: try again in {} s", retry_after.retry_after())]
-    AnswerMemory {
-        memory: ByteSize,
-        retry_after: Seconds,
-    },
-    #[error("you have made more requests than the {per_minute} a minute that are allowed: try again in {} s", retry_after.retry_after())]
-    RateLimited {
-        per_minute: u32,
-        retry_after: Seconds,
-    },
-    #[error("{most} jobs are kept already: fetch and delete finished ones, or try again in {} s", retry_after.retry_after())]
-    TooManyJobs { most: usize, retry_after: Seconds },
-    #[error("an API key is needed: send it as `Authorization: Bearer KEY` or `X-API-Key: KEY`")]
-    KeyMissing,
-    #[error("this API key is not known here")]
-    KeyWrong,
-    #[error("there is no job {id}: it was deleted, has expired, or never was")]
-    NoJob { id: String },
-    #[error("job {id} is not done: it is {state}")]
-    JobNotDone { id: String, state: &'static str },
-    #[error("the server is shutting down: try again in {} s", retry_after.retry_after())]
-    Draining { retry_after: Seconds },
-    #[error("the model is being loaded: try again in {} s", retry_after.retry_after())]
-    Loading { retry_after: Seconds },
-    #[error("the model has stopped: the server must be started again")]
-    ModelStopped,
-    #[error("there was no result within {limit} s: try again in {} s, or send a shorter part", retry_after.retry_after())]
-    Timeout {
-        limit: Seconds,
-        retry_after: Seconds,
-    },
-    #[error("the server failed: {0}")]
-    Internal(String),
-    #[error(transparent)]
-    Engine(EngineError),
-    #[error(transparent)]
-    Format(#[from] FormatError),
+/// Defines the errors: status, `error_type`, name and values, message. The first block holds those
+/// that a later attempt may not meet, with the time to wait.
+macro_rules! errors {
+    (
+        retry { $(
+            $busy_status:ident $busy_kind:literal $busy:ident { $($value:ident: $value_type:ty),+ }
+                => $busy_message:literal $(, $busy_argument:expr)?;
+        )+ }
+        refuse { $(
+            $status:ident $kind:literal $name:ident
+                $({ $($field:ident: $type:ty),+ })? $(($inner:ty))?
+                => $message:literal;
+        )+ }
+    ) => {
+        /// The reason why a request has no result.
+        #[derive(Debug, thiserror::Error)]
+        pub(crate) enum ServerError {
+            $(
+                #[error($busy_message $(, $busy_argument)?)]
+                $busy { $($value: $value_type),+ },
+            )+
+            $(
+                #[error($message)]
+                $name $({ $($field: $type),+ })? $(($inner))?,
+            )+
+            #[error(transparent)]
+            Engine(EngineError),
+            #[error(transparent)]
+            Format(#[from] FormatError),
+        }
+
+        impl ServerError {
+            fn classify(&self) -> (StatusCode, &'static str) {
+                match self {
+                    $(Self::$busy { .. } => (StatusCode::$busy_status, $busy_kind),)+
+                    $(Self::$name { .. } => (StatusCode::$status, $kind),)+
+                    Self::Engine(error) => classify_generation(error),
+                    Self::Format(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
+                }
+            }
+
+            fn retry_after(&self) -> Option<Seconds> {
+                match self {
+                    $(Self::$busy { retry_after, .. } => Some(*retry_after),)+
+                    // About the time to restart a server that is not ready.
+                    Self::ModelStopped => Some(Seconds::new(30)),
+                    // Next to impossible, as the model's own queue has a place for every permit; a
+                    // place is free again after a step of the model.
+                    // A thread is free again as soon as another song has been decoded.
+                    Self::Engine(
+                        EngineError::QueueFull { .. }
+                        | EngineError::NoThread(_)
+                        | EngineError::Audio(AudioError::NoThread(_)),
+                    ) => Some(Seconds::new(1)),
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+errors! {
+    retry {
+        TOO_MANY_REQUESTS "queue_full" QueueFull { queue: usize, retry_after: Seconds }
+            => "{queue} requests are waiting already: {}", again(retry_after);
+        TOO_MANY_REQUESTS "too_many_uploads" TooManyUploads { most: usize, retry_after: Seconds }
+            => "{most} uploads are in transfer already: {}", again(retry_after);
+        TOO_MANY_REQUESTS "upload_memory" UploadMemory { memory: ByteSize, retry_after: Seconds }
+            => "uploads take all of their memory, {memory}: {}", again(retry_after);
+        TOO_MANY_REQUESTS "rate_limited" RateLimited { per_minute: u32, retry_after: Seconds }
+            => "only {per_minute} requests a minute are allowed: {}", again(retry_after);
+        TOO_MANY_REQUESTS "too_many_jobs" TooManyJobs { most: usize, retry_after: Seconds }
+            => "{most} jobs are kept already: fetch and delete finished ones, or {}",
+            again(retry_after);
+        SERVICE_UNAVAILABLE "answer_memory" AnswerMemory { memory: ByteSize, retry_after: Seconds }
+            => "unread responses take all of their memory, {memory}: {}", again(retry_after);
+        SERVICE_UNAVAILABLE "draining" Draining { retry_after: Seconds }
+            => "the server is shutting down: {}", again(retry_after);
+        SERVICE_UNAVAILABLE "loading" Loading { retry_after: Seconds }
+            => "the model is being loaded: {}", again(retry_after);
+        SERVICE_UNAVAILABLE "timeout" Timeout { limit: Seconds, retry_after: Seconds }
+            => "there was no result within {limit} s: {}, or send a shorter part",
+            again(retry_after);
+    }
+    refuse {
+        BAD_REQUEST "invalid_option" Option { name: String, problem: String }
+            => "option `{name}`: {problem}";
+        BAD_REQUEST "invalid_multipart" Multipart(String) => "{0}";
+        BAD_REQUEST "missing_audio" MissingAudio
+            => "no audio was sent: send a file as part `file` of multipart/form-data, or as the \
+                body itself with content type audio/*";
+        BAD_REQUEST "upload_broken" UploadBroken => "the upload broke off before its end";
+        UNAUTHORIZED "missing_api_key" KeyMissing
+            => "an API key is required: send it as `Authorization: Bearer KEY` or `X-API-Key: KEY`";
+        UNAUTHORIZED "wrong_api_key" KeyWrong => "this API key is unknown";
+        NOT_FOUND "not_found" NotFound { path: String }
+            => "there is nothing at {path}: GET /docs lists all routes";
+        NOT_FOUND "no_such_job" NoJob { id: String }
+            => "there is no job {id}: it was deleted, has expired, or never existed";
+        METHOD_NOT_ALLOWED "method_not_allowed" MethodNotAllowed { path: String, method: String }
+            => "{path} does not accept {method}: GET /docs lists all routes";
+        NOT_ACCEPTABLE "not_acceptable" NotAcceptable { asked: String, available: String }
+            => "the Accept header asks for {asked:?}, which is not available: expected {available}";
+        REQUEST_TIMEOUT "upload_timeout" UploadTimeout { idle: Seconds, total: Seconds }
+            => "the body was not sent in time: {idle} s without data and {total} s in all are \
+                allowed";
+        CONFLICT "job_not_done" JobNotDone { id: String, state: &'static str }
+            => "job {id} is not done: it is {state}";
+        PAYLOAD_TOO_LARGE "payload_too_large"
+            TooLarge { limit: ByteSize, lossy: ByteSize, lossless: ByteSize }
+            => "the audio is larger than {limit}: up to {lossy} is accepted, up to {lossless} for \
+                wav and flac";
+        UNSUPPORTED_MEDIA_TYPE "unsupported_media_type" UnsupportedMedia(String) => "{0}";
+        SERVICE_UNAVAILABLE "model_stopped" ModelStopped
+            => "the model has stopped: the server must be started again";
+        INTERNAL_SERVER_ERROR "internal" Internal(String) => "the server failed: {0}";
+    }
+}
+
+fn again(after: &Seconds) -> String {
+    format!("try again in {} s", after.retry_after())
 }
 
 impl From<EngineError> for ServerError {
@@ -134,14 +177,13 @@ impl From<EngineError> for ServerError {
     }
 }
 
-/// No semaphore of ours is ever closed.
-impl From<AcquireError> for ServerError {
-    fn from(closed: AcquireError) -> Self {
-        Self::Internal(closed.to_string())
+impl From<OptionError> for ServerError {
+    fn from(OptionError { name, problem }: OptionError) -> Self {
+        Self::Option { name, problem }
     }
 }
 
-/// Leaves with the response; the outermost layer, which knows the request's id, makes an
+/// An error on its way to the outermost layer, which knows the request's id and makes an
 /// [`ErrorBody`] of it.
 #[derive(Clone, Debug)]
 pub(crate) struct Report {
@@ -149,85 +191,24 @@ pub(crate) struct Report {
     pub(crate) message: String,
     pub(crate) error_type: &'static str,
     retry_after: Option<u64>,
-    /// Was counted before.
+    /// Whether it was counted before.
     pub(crate) repeated: bool,
 }
 
 impl Report {
-    /// What was told before about the request of another id.
+    /// Marks the error as one that the request of another id has reported before.
     pub(crate) fn repeated(mut self, request_id: &str) -> Self {
         self.message = format!("{} (of the request {request_id})", self.message);
         self.repeated = true;
         self
     }
 
-    /// The body of an answer, or of a part of one.
+    /// Returns the body of a response, or of an event.
     pub(crate) fn body(&self, request_id: &str) -> ErrorBody {
         ErrorBody {
             error: self.message.clone(),
             error_type: self.error_type.to_owned(),
             request_id: request_id.to_owned(),
-        }
-    }
-}
-
-impl ServerError {
-    fn classify(&self) -> (StatusCode, &'static str) {
-        match self {
-            Self::Option { .. } => (StatusCode::BAD_REQUEST, "invalid_option"),
-            Self::Multipart(_) => (StatusCode::BAD_REQUEST, "invalid_multipart"),
-            Self::MissingAudio => (StatusCode::BAD_REQUEST, "missing_audio"),
-            Self::UploadBroken => (StatusCode::BAD_REQUEST, "upload_broken"),
-            Self::NotFound { .. } => (StatusCode::NOT_FOUND, "not_found"),
-            Self::MethodNotAllowed { .. } => (StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed"),
-            Self::NotAcceptable { .. } => (StatusCode::NOT_ACCEPTABLE, "not_acceptable"),
-            Self::UploadTimeout { .. } => (StatusCode::REQUEST_TIMEOUT, "upload_timeout"),
-            Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "payload_too_large"),
-            Self::UnsupportedMedia(_) => {
-                (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type")
-            }
-            Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full"),
-            Self::TooManyUploads { .. } => (StatusCode::TOO_MANY_REQUESTS, "too_many_uploads"),
-            Self::UploadMemory { .. } => (StatusCode::TOO_MANY_REQUESTS, "upload_memory"),
-            Self::RateLimited { .. } => (StatusCode::TOO_MANY_REQUESTS, "rate_limited"),
-            Self::TooManyJobs { .. } => (StatusCode::TOO_MANY_REQUESTS, "too_many_jobs"),
-            Self::KeyMissing => (StatusCode::UNAUTHORIZED, "missing_api_key"),
-            Self::KeyWrong => (StatusCode::UNAUTHORIZED, "wrong_api_key"),
-            Self::NoJob { .. } => (StatusCode::NOT_FOUND, "no_such_job"),
-            Self::JobNotDone { .. } => (StatusCode::CONFLICT, "job_not_done"),
-            Self::Draining { .. } => (StatusCode::SERVICE_UNAVAILABLE, "draining"),
-            Self::Loading { .. } => (StatusCode::SERVICE_UNAVAILABLE, "loading"),
-            Self::ModelStopped => (StatusCode::SERVICE_UNAVAILABLE, "model_stopped"),
-            Self::Timeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "timeout"),
-            Self::AnswerMemory { .. } => (StatusCode::SERVICE_UNAVAILABLE, "answer_memory"),
-            Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
-            Self::Format(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
-            Self::Engine(error) => classify_generation(error),
-        }
-    }
-
-    fn retry_after(&self) -> Option<Seconds> {
-        match self {
-            Self::QueueFull { retry_after, .. }
-            | Self::TooManyUploads { retry_after, .. }
-            | Self::UploadMemory { retry_after, .. }
-            | Self::AnswerMemory { retry_after, .. }
-            | Self::RateLimited { retry_after, .. }
-            | Self::TooManyJobs { retry_after, .. }
-            | Self::Draining { retry_after }
-            | Self::Loading { retry_after }
-            | Self::Timeout { retry_after, .. } => Some(*retry_after),
-            // Whoever restarts a server that is not ready needs about that long.
-            Self::ModelStopped => Some(Seconds::new(30)),
-            // The model's own queue is as long as there are permits, so this is next to impossible;
-            // its places are given back at the pace of one step of the model.
-            // A thread is free again as soon as another song has been decoded.
-            Self::Engine(
-                EngineError::QueueFull { .. }
-                | EngineError::NoThread(_)
-                | EngineError::Audio(AudioError::NoThread(_)),
-            ) => Some(Seconds::new(1)),
-            _ => None,
         }
     }
 }
@@ -277,7 +258,7 @@ fn classify_audio(error: &AudioError) -> (StatusCode, &'static str) {
 }
 
 impl ServerError {
-    /// What a caller is told. Faults of our own are logged here, and not told.
+    /// Returns the error as the caller sees it. Faults of our own are logged here, and hidden.
     pub(crate) fn report(&self) -> Report {
         let (status, error_type) = self.classify();
         let message = if status == StatusCode::INTERNAL_SERVER_ERROR {
@@ -295,7 +276,7 @@ impl ServerError {
         }
     }
 
-    /// Whether the work itself did not end, so that it must be stopped.
+    /// Returns whether the work is still running and must be stopped.
     pub(crate) fn stops_work(&self) -> bool {
         matches!(self, Self::Timeout { .. } | Self::Draining { .. })
     }
@@ -328,8 +309,8 @@ impl IntoResponse for Report {
     }
 }
 
-/// Writes the body of an error answer. One that did not come from [`ServerError`] (the router's own,
-/// or a layer's) keeps its status and gets the message that fits it.
+/// Writes the body of an error. One that did not come from [`ServerError`] but from the router or a
+/// layer keeps its status and gets a message that fits it.
 pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response<Body> {
     let (mut parts, _) = response.into_parts();
     let report = parts
@@ -364,7 +345,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_model_that_stops_meanwhile_is_told_as_the_probe_tells_it() {
+    fn a_model_that_stops_meanwhile_is_reported_as_the_probe_reports_it() {
         let stopped = ServerError::from(EngineError::Stopped).report();
         let probed = ServerError::ModelStopped.report();
         assert_eq!(
@@ -376,5 +357,13 @@ mod tests {
             )
         );
         assert!(stopped.retry_after.is_some());
+    }
+
+    #[test]
+    fn a_lack_of_threads_is_not_blamed_on_the_upload() {
+        let lack = AudioError::NoThread(std::io::ErrorKind::WouldBlock.into());
+        let report = ServerError::from(EngineError::from(lack)).report();
+        assert_eq!(report.status, StatusCode::SERVICE_UNAVAILABLE);
+        assert!(report.retry_after.is_some());
     }
 }

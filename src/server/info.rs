@@ -1,9 +1,12 @@
-//! What the service says about itself.
+//! The description of the service.
 
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{config::Limits, state::Generate};
+use super::{
+    config::Limits,
+    options::{self, OptionInfo},
+};
 use crate::{
     audio::Container,
     formats::OutputFormat,
@@ -18,9 +21,11 @@ pub(crate) struct Info {
     #[schema(example = "0.1.0")]
     version: &'static str,
     model: ModelInfo,
-    /// Frame rates that a dance can have.
+    /// Frame rates of a result.
     frame_rates: [u32; 4],
-    /// Formats of a dance, the default first.
+    /// All options of a generation.
+    options: Vec<OptionInfo>,
+    /// Formats of a result, the default first.
     formats: [FormatInfo; 2],
     /// Audio that is accepted.
     #[schema(example = json!(["wav", "flac"]))]
@@ -28,13 +33,14 @@ pub(crate) struct Info {
     limits: Bounds,
 }
 
-/// Every limit, and what follows from them.
+/// Every limit, and the memory that follows from them.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 struct Bounds {
     #[serde(flatten)]
     limits: Limits,
-    /// Most memory that one request takes while it is worked on: the server as a whole stays below its idle
-    /// memory and so much for each of `max_concurrent_requests`, besides uploads and answers that wait.
+    /// Most memory of one request that is being processed. The server as a whole stays below its
+    /// idle memory and this much for each of `max_concurrent_requests`, beside waiting uploads and
+    /// responses.
     memory_per_request_bytes: u64,
 }
 
@@ -47,7 +53,7 @@ struct ModelInfo {
     licence: String,
     /// SHA-256 of `manifest.json`, which holds the hash of every other file.
     manifest_sha256: String,
-    /// Frames per second that the model itself makes.
+    /// Frames per second of the model itself.
     fps: u32,
     /// Pose codes per second of music.
     codes_per_second: f64,
@@ -91,7 +97,7 @@ struct SkeletonInfo {
     offsets: Vec<[f32; 3]>,
 }
 
-/// A format of a dance.
+/// A format of a result.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 struct FormatInfo {
     /// Value of the option `format`.
@@ -102,11 +108,12 @@ struct FormatInfo {
 }
 
 impl Info {
-    pub(crate) fn new(engine: &dyn Generate, limits: &Limits) -> Self {
+    pub(crate) fn new(manifest: &Manifest, sha256: &str, limits: &Limits) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION"),
-            model: ModelInfo::new(engine.manifest(), engine.model_sha256()),
+            model: ModelInfo::new(manifest, sha256),
             frame_rates: FRAME_RATES,
+            options: options::describe(),
             formats: OutputFormat::ALL.map(|format| FormatInfo {
                 name: format.name(),
                 content_type: format.content_type(),

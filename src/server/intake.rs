@@ -12,10 +12,10 @@ use super::{
     media::Media,
     negotiate::{self, Shape},
     options::RequestOptions,
+    resources::UploadReservation,
     state::{Generate, SharedState},
     tracker::{Phase, RequestTracker, Waiting},
     upload,
-    uploads::UploadPermit,
 };
 use crate::formats::OutputFormat;
 
@@ -37,7 +37,7 @@ pub(crate) struct Order {
     pub(crate) options: RequestOptions,
     pub(crate) shape: Shape,
     /// What the upload holds, until the work begins.
-    pub(crate) upload: Option<UploadPermit>,
+    pub(crate) upload: Option<UploadReservation>,
     pub(crate) tracker: Arc<RequestTracker>,
     pub(crate) waiting: Waiting,
 }
@@ -63,19 +63,19 @@ pub(crate) async fn receive(
     }
     match purpose {
         Purpose::Job => state.jobs.check_room()?,
-        Purpose::Dance | Purpose::Stream => state.admission.check_room()?,
+        Purpose::Dance | Purpose::Stream => state.resources.admission.check_room()?,
     }
 
     let tracker = RequestTracker::new(Arc::clone(&state.metrics));
     let waiting = Waiting::of(&tracker);
     let received = async {
-        let mut place = state.uploads.begin(state.admission.retry_after())?;
+        let mut place = state.resources.uploads.begin()?;
         let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
         let upload = upload::receive(parts, body, media, options, limits, &mut place)
             .instrument(tracing::info_span!("stage", otel.name = "upload"))
             .await?;
         if purpose == Purpose::Job {
-            state.uploads.keep_for_job(&mut place)?;
+            state.resources.uploads.keep_for_job(&mut place)?;
         }
         let shape = shape(purpose, &upload.options, &accept)?;
         engine.check(&upload.options.generation(shape.format))?;

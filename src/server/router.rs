@@ -9,14 +9,12 @@ use axum::{
     middleware,
     response::{IntoResponse, Response},
 };
-use tower_http::cors::{AllowHeaders, AllowOrigin, Any, CorsLayer};
 use utoipa_swagger_ui::SwaggerUi;
 
 use super::{
-    access::{self, Access},
-    config::{Limits, Origin},
-    envelope,
+    config::{Access, Limits},
     error::ServerError,
+    layers::{auth, cors, envelope},
     metrics::SharedMetrics,
     openapi,
     options::shorten,
@@ -25,48 +23,30 @@ use super::{
 
 /// The whole service over `engine`, without a listener: what tests drive.
 pub fn router(engine: Arc<dyn Generate>, limits: Limits, access: Access) -> Router {
-    let state = ServerState::loading(limits, access, SharedMetrics::default());
+    let state = ServerState::loading(limits, SharedMetrics::default());
     state.finish_loading(engine);
-    router_with(state)
+    router_with(state, &access)
 }
 
-pub(crate) fn router_with(state: SharedState) -> Router {
-    let working = openapi::working();
-    // Whoever is not let in is told so before anything of the body is read.
-    let let_in = middleware::from_fn_with_state(Arc::clone(&state), access::admit);
-    let (routes, document) = openapi::documented()
-        .merge(working.route_layer(let_in))
+pub(crate) fn router_with(state: SharedState, access: &Access) -> Router {
+    let gate = Arc::new(auth::Gate::new(access, &state.limits));
+    // Before anything of a body is read.
+    let auth = middleware::from_fn_with_state(gate, auth::admit);
+    let (routes, document) = openapi::public_routes()
+        .merge(openapi::keyed_routes().route_layer(auth))
         .split_for_parts();
     let docs = SwaggerUi::new("/docs").url("/api-doc/openapi.json", document);
-    let cors = cors(&state.access.origins);
+    let metrics = Arc::clone(&state.metrics);
     let routes = routes
-        .with_state(Arc::clone(&state))
+        .with_state(state)
         .merge(docs)
         .fallback(not_found)
         .method_not_allowed_fallback(method_not_allowed);
-    let routes = envelope::wrap(routes, &state);
-    match cors {
-        Some(cors) => routes.layer(cors),
-        None => routes,
+    let routes = envelope::wrap(routes, metrics);
+    match access.origins.is_empty() {
+        true => routes,
+        false => routes.layer(cors::layer(&access.origins)),
     }
-}
-
-/// Lets pages of these origins call, and read what an answer's head says.
-fn cors(origins: &[Origin]) -> Option<CorsLayer> {
-    if origins.is_empty() {
-        return None;
-    }
-    let allowed = match origins.iter().any(Origin::is_any) {
-        true => AllowOrigin::any(),
-        false => AllowOrigin::list(origins.iter().map(Origin::header)),
-    };
-    let layer = CorsLayer::new()
-        .allow_origin(allowed)
-        .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::DELETE])
-        // By name: a `*` does not cover `Authorization`.
-        .allow_headers(AllowHeaders::mirror_request())
-        .expose_headers(Any);
-    Some(layer)
 }
 
 async fn not_found(uri: Uri) -> ServerError {
@@ -75,7 +55,7 @@ async fn not_found(uri: Uri) -> ServerError {
     }
 }
 
-/// `Allow` is added by the router.
+/// Answers a wrong method; the router adds `Allow`.
 async fn method_not_allowed(method: Method, request: Request) -> Response {
     if method == Method::OPTIONS {
         return StatusCode::NO_CONTENT.into_response();

@@ -3,22 +3,16 @@
 use std::{
     future::Future,
     sync::{Arc, OnceLock},
-    time::Duration,
 };
 
-use tokio::sync::Semaphore;
-
 use super::{
-    access::{Access, Rates},
-    admission::Admission,
     config::{Limits, Seconds},
     error::ServerError,
     info::Info,
     jobs::{JobStore, MemoryStore},
     lifecycle::Lifecycle,
     metrics::SharedMetrics,
-    room::{Room, Share},
-    uploads::Uploads,
+    resources::Resources,
 };
 use crate::{
     engine::{Engine, EngineError, Generation, GenerationOptions, GenerationRequest, Pending},
@@ -80,9 +74,6 @@ impl Generate for Engine {
     }
 }
 
-/// How long an answer waits for others to be taken, where there is time for twice that.
-const WAIT_FOR_ROOM: Duration = Duration::from_secs(10);
-
 /// When to ask again while the model is loaded: it takes a few seconds.
 const LOADING_RETRY: Seconds = Seconds::new(2);
 
@@ -93,20 +84,9 @@ pub(crate) type SharedState = Arc<ServerState>;
 pub(crate) struct ServerState {
     loaded: OnceLock<Loaded>,
     pub(crate) limits: Limits,
-    pub(crate) access: Access,
-    pub(crate) rates: Option<Rates>,
     pub(crate) metrics: SharedMetrics,
-    pub(crate) uploads: Uploads,
-    pub(crate) admission: Arc<Admission>,
-    /// Seconds of audio that may be worked on.
-    pub(crate) audio: Room,
-    /// Bytes of answers that may wait for their readers.
-    pub(crate) answers: Room,
+    pub(crate) resources: Resources,
     pub(crate) jobs: Box<dyn JobStore>,
-    /// Places to work in that jobs may take: half of all, at least one.
-    pub(crate) job_slots: Semaphore,
-    /// Results of jobs that may be written at the same time.
-    pub(crate) writers: Semaphore,
     pub(crate) lifecycle: Lifecycle,
 }
 
@@ -118,20 +98,12 @@ pub(crate) struct Loaded {
 
 impl ServerState {
     /// Without a model yet.
-    pub(crate) fn loading(limits: Limits, access: Access, metrics: SharedMetrics) -> SharedState {
-        let audio_gauge = metrics.audio_in_flight.clone();
+    pub(crate) fn loading(limits: Limits, metrics: SharedMetrics) -> SharedState {
         Arc::new(Self {
             loaded: OnceLock::new(),
-            rates: Rates::new(&limits),
-            uploads: Uploads::new(&limits, Arc::clone(&metrics)),
-            admission: Admission::new(&limits, Arc::clone(&metrics)),
-            audio: Room::new(limits.audio_seconds_in_flight as u64, Some(audio_gauge)),
-            answers: Room::new(limits.answer_memory.0, None),
+            resources: Resources::new(&limits, &metrics),
             jobs: Box::new(MemoryStore::new(limits.max_jobs.get(), limits.job_ttl)),
-            job_slots: Semaphore::new((limits.max_concurrent_requests.get() / 2).max(1)),
-            writers: Semaphore::new(limits.max_concurrent_requests.get()),
             lifecycle: Lifecycle::default(),
-            access,
             metrics,
             limits,
         })
@@ -141,7 +113,7 @@ impl ServerState {
     pub(crate) fn finish_loading(&self, engine: Arc<dyn Generate>) {
         self.metrics.loaded(&engine.manifest().name);
         self.loaded.get_or_init(|| Loaded {
-            info: Info::new(engine.as_ref(), &self.limits),
+            info: Info::new(engine.manifest(), engine.model_sha256(), &self.limits),
             engine,
         });
     }
@@ -155,7 +127,6 @@ impl ServerState {
     }
 
     /// # Errors
-    /// [`ServerError::Loading`], and [`ServerError::ModelStopped`] once the model has stopped.
     pub(crate) fn engine(&self) -> Result<&Arc<dyn Generate>, ServerError> {
         let engine = &self.loaded()?.engine;
         match engine.is_alive() {
@@ -177,25 +148,11 @@ impl ServerState {
         }
     }
 
-    /// Reserves memory for an answer. The wait is short, as a request that waits keeps its permit.
-    pub(crate) async fn room(&self, bytes: usize) -> Result<Share, ServerError> {
-        let share = self.answers.share(bytes as u64);
-        // Within the request's time, so that the client is told why.
-        let most = WAIT_FOR_ROOM.min(self.limits.request_timeout.0 / 2);
-        let in_time = tokio::time::timeout(most, share).await;
-        in_time.unwrap_or_else(|_| {
-            Err(ServerError::AnswerMemory {
-                memory: self.limits.answer_memory,
-                retry_after: self.limits.answer_idle_timeout,
-            })
-        })
-    }
-
     /// The answer to a request whose time is over.
     pub(crate) fn timeout(&self) -> ServerError {
         ServerError::Timeout {
             limit: self.limits.request_timeout,
-            retry_after: self.admission.retry_after(),
+            retry_after: self.resources.retry_after(),
         }
     }
 

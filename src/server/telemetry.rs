@@ -13,7 +13,8 @@ use opentelemetry_otlp::{Protocol, SpanExporter, WithExportConfig, WithHttpConfi
 use opentelemetry_sdk::{Resource, trace::SdkTracerProvider};
 use tracing_subscriber::{EnvFilter, Layer, layer::SubscriberExt, util::SubscriberInitExt};
 
-/// Everything of level info and above, but from libraries, which tell of every upload, only warnings.
+/// Everything of level info and above, but from libraries, which tell of every upload, only
+/// warnings.
 const DEFAULT_FILTER: &str =
     "info,symphonia=warn,ort=warn,opentelemetry=warn,opentelemetry_sdk=warn";
 /// How long a collector has to take spans.
@@ -43,8 +44,9 @@ impl Drop for Telemetry {
     }
 }
 
-/// Starts the log of this process on standard error; `RUST_LOG` chooses what is in it. With `collector`,
-/// spans are sent there: one for each request, and in it one for each stage. A second call changes nothing.
+/// Starts the log of this process on standard error; `RUST_LOG` chooses what is in it. With
+/// `collector`, spans are sent there: one for each request, and in it one for each stage. A second
+/// call changes nothing.
 ///
 /// # Errors
 /// [`TelemetryError`] if `collector` is no address.

@@ -7,7 +7,10 @@ use std::{
 
 use parking_lot::{Mutex, MutexGuard};
 
-use super::{admission::Permit, metrics::SharedMetrics, room::Share, uploads::UploadPermit};
+use super::{
+    metrics::SharedMetrics,
+    resources::{Permit, Reservation, UploadReservation},
+};
 use crate::engine::{Progress, Stage};
 
 /// Part of the server that a request is in.
@@ -150,9 +153,9 @@ pub(crate) struct Work {
 #[derive(Debug)]
 pub(crate) struct Held {
     /// Until the upload is decoded.
-    pub(crate) upload: Option<UploadPermit>,
+    pub(crate) upload: Option<UploadReservation>,
     /// Seconds of audio; those beyond the song's length are given back once that is known.
-    pub(crate) audio: Option<Share>,
+    pub(crate) audio: Option<Reservation>,
     pub(crate) permit: Option<Permit>,
 }
 
@@ -208,7 +211,7 @@ impl Progress for Work {
         let mut held = self.held.lock();
         let upload = held.upload.take();
         if let Some(audio) = &mut held.audio {
-            audio.keep(seconds.ceil() as u64);
+            audio.shrink_to(seconds.ceil() as u64);
         }
         drop(held);
         drop(upload);

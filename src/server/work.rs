@@ -5,13 +5,13 @@ use std::{sync::Arc, time::Duration};
 use tracing::Span;
 
 use super::{
-    admission::Permit,
     config::Limits,
     envelope::panic_text,
     error::ServerError,
     intake::Order,
     metrics::SharedMetrics,
     options::RequestOptions,
+    resources::Permit,
     state::SharedState,
     tracker::{Held, Phase, RequestTracker, Work},
 };
@@ -29,7 +29,11 @@ impl Order {
         state: &SharedState,
         permit: Permit,
     ) -> Result<(GenerationRequest, Arc<Work>), ServerError> {
-        let audio = state.audio.share(self.most_seconds(&state.limits)).await?;
+        let audio = state
+            .resources
+            .audio
+            .reserve(self.most_seconds(&state.limits))
+            .await;
         let held = Held {
             upload: self.upload.take(),
             audio: Some(audio),

@@ -14,12 +14,13 @@ use axum::{
 use bailando::server::{Access, Generate, Limits, router};
 use http_body_util::BodyExt;
 use serde_json::Value;
+use tokio::task::JoinHandle;
 use tower::ServiceExt;
 
-/// Far more than is needed, far less than the time for which requests are waited for.
+/// Far more than any step needs, far less than the timeouts of requests.
 pub(crate) const LONG: Duration = Duration::from_secs(15);
 
-/// What `look` finds, as soon as it finds something.
+/// Returns what `look` finds, as soon as it finds something.
 pub(crate) async fn eventually<T>(what: &str, mut look: impl AsyncFnMut() -> Option<T>) -> T {
     let started = Instant::now();
     loop {
@@ -42,7 +43,7 @@ pub(crate) async fn until_counted(app: &Router, lines: &[&str]) {
     .await;
 }
 
-/// An answer, read to its end.
+/// A response, read to its end.
 #[derive(Debug)]
 pub(crate) struct Answer {
     pub(crate) status: StatusCode,
@@ -115,6 +116,36 @@ pub(crate) async fn send(app: &Router, request: Request<Body>) -> Answer {
     }
 }
 
+/// Sends `request`, which must succeed.
+pub(crate) async fn succeed(app: &Router, request: Request<Body>) -> Answer {
+    let answer = send(app, request).await;
+    let text = String::from_utf8_lossy(&answer.body);
+    assert_eq!(answer.status, StatusCode::OK, "{text}");
+    answer
+}
+
+/// Sends `request`, which must be refused, and returns the message.
+pub(crate) async fn refuse(
+    app: &Router,
+    request: Request<Body>,
+    status: u16,
+    kind: &str,
+) -> String {
+    send(app, request).await.expect_error(status, kind)
+}
+
+/// Sends `request` meanwhile.
+pub(crate) fn spawn(app: &Router, request: Request<Body>) -> JoinHandle<Answer> {
+    let app = app.clone();
+    tokio::spawn(async move { send(&app, request).await })
+}
+
+/// Adds a header to `request`, or replaces it.
+pub(crate) fn with(mut request: Request<Body>, name: &'static str, value: &str) -> Request<Body> {
+    request.headers_mut().insert(name, value.parse().unwrap());
+    request
+}
+
 pub(crate) async fn get(app: &Router, path: &str) -> Answer {
     send(app, Request::get(path).body(Body::empty()).unwrap()).await
 }
@@ -138,25 +169,15 @@ pub(crate) fn post(path: &str, query: &str, audio: impl Into<Body>) -> Request<B
 pub(crate) fn form(query: &str, parts: &[(&str, &[u8])]) -> Request<Body> {
     let mut body = Vec::new();
     for (name, value) in parts {
-        let file = if *name == "file" {
-            "; filename=\"song.mp3\"\r\nContent-Type: audio/mpeg"
-        } else {
-            ""
+        let file = match *name {
+            "file" => "; filename=\"song.mp3\"\r\nContent-Type: audio/mpeg",
+            _ => "",
         };
         let head =
             format!("--frontier\r\nContent-Disposition: form-data; name=\"{name}\"{file}\r\n\r\n");
-        body.extend(head.as_bytes());
-        body.extend(*value);
-        body.extend(b"\r\n");
+        body.extend([head.as_bytes(), value, b"\r\n"].concat());
     }
     body.extend(b"--frontier--\r\n");
-    Request::builder()
-        .method(Method::POST)
-        .uri(format!("/generate?{query}"))
-        .header(
-            header::CONTENT_TYPE,
-            "multipart/form-data; boundary=frontier",
-        )
-        .body(body.into())
-        .unwrap()
+    let kind = "multipart/form-data; boundary=frontier";
+    with(raw(query, body), "content-type", kind)
 }

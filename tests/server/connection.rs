@@ -67,7 +67,8 @@ async fn connections_beyond_the_most_wait_for_a_place() {
     drop(silent);
 }
 
-/// The preface of HTTP/2 with prior knowledge is answered with settings, which say how much is taken at once.
+/// The preface of HTTP/2 with prior knowledge is answered with settings, which say how much is
+/// taken at once.
 #[tokio::test(flavor = "multi_thread")]
 async fn http2_is_spoken_without_tls() {
     const SETTINGS: [u8; 9] = [0, 0, 0, 4, 0, 0, 0, 0, 0];

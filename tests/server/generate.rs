@@ -9,7 +9,7 @@ use axum::{
 use bailando::server::Limits;
 
 use crate::{
-    client::{Answer, app, form, raw, send},
+    client::{Answer, app, form, raw, refuse, send, succeed, with},
     fake::{Fake, PANIC},
 };
 
@@ -17,12 +17,8 @@ async fn ask(request: Request<Body>) -> Answer {
     send(&app(&Fake::new(), &Limits::default()), request).await
 }
 
-async fn ask_accepting(request: Request<Body>, accept: &'static str) -> Answer {
-    let (mut parts, body) = request.into_parts();
-    parts
-        .headers
-        .insert(header::ACCEPT, accept.parse().unwrap());
-    ask(Request::from_parts(parts, body)).await
+async fn ask_accepting(request: Request<Body>, accept: &str) -> Answer {
+    ask(with(request, "accept", accept)).await
 }
 
 #[tokio::test]
@@ -62,10 +58,7 @@ async fn a_raw_body_may_come_without_an_audio_type() {
         "application/x-www-form-urlencoded",
         "audio/x-m4a",
     ] {
-        let mut request = raw("", "song");
-        request
-            .headers_mut()
-            .insert(header::CONTENT_TYPE, kind.parse().unwrap());
+        let request = with(raw("", "song"), "content-type", kind);
         assert_eq!(ask(request).await.status, StatusCode::OK, "{kind}");
     }
     let mut request = raw("", "song");
@@ -138,11 +131,7 @@ async fn a_sane_request_id_is_taken_over() {
         ("", false),
         (&*"x".repeat(129), false),
     ] {
-        let mut request = raw("fps=25", "song");
-        request
-            .headers_mut()
-            .insert("x-request-id", sent.parse().unwrap());
-        let answer = ask(request).await;
+        let answer = ask(with(raw("fps=25", "song"), "x-request-id", sent)).await;
         answer.expect_error(400, "invalid_option");
         assert_eq!(answer.header("x-request-id") == sent, taken, "{sent}");
         assert!(!answer.header("x-request-id").is_empty());
@@ -153,72 +142,40 @@ async fn a_sane_request_id_is_taken_over() {
 async fn wrong_options_are_refused_before_any_work() {
     let fake = Fake::new();
     let app = app(&fake, &Limits::default());
-    for query in [
-        "fps=25",
-        "seed=-1",
-        "temperature=hot",
-        "top_k=0",
-        "guidance=-1",
-        "candidates=0",
-        "start_upper=512",
-        "window=wide",
-        "hop=29",
-        "offset_s=-1",
-        "duration_s=0",
-        "root_motion=2",
-        "include=all",
-        "encoding=hex",
-        "bvh_unit=inch",
-        "continue_from=abc",
-        "format=glb",
-        "no_such_option=1",
-        "seed=1&seed=2",
-        "seed",
-        "seed=%FF",
-    ] {
+    let wrong = "fps=25 seed=-1 temperature=hot top_k=0 guidance=-1 candidates=0 \
+                 start_upper=512 window=wide hop=29 offset_s=-1 duration_s=0 root_motion=2 \
+                 include=all encoding=hex bvh_unit=inch continue_from=abc format=glb \
+                 no_such_option=1 seed=1&seed=2 seed seed=%FF";
+    for query in wrong.split(' ') {
         let name = query.split('=').next().unwrap();
-        let said = send(&app, raw(query, "song"))
-            .await
-            .expect_error(400, "invalid_option");
+        let said = refuse(&app, raw(query, "song"), 400, "invalid_option").await;
         assert!(said.contains(&format!("`{name}`")), "{said}");
-        let parts: [(&str, &[u8]); 2] = [
-            (name, query.split('=').nth(1).unwrap_or_default().as_bytes()),
-            ("file", b"song"),
-        ];
+        let value = query.split('=').nth(1).unwrap_or_default().as_bytes();
+        let parts: [(&str, &[u8]); 2] = [(name, value), ("file", b"song")];
         if !query.contains('&') {
-            send(&app, form("", &parts))
-                .await
-                .expect_error(400, "invalid_option");
+            refuse(&app, form("", &parts), 400, "invalid_option").await;
         }
     }
     let twice: [(&str, &[u8]); 2] = [("file", b"song"), ("seed", b"1")];
-    send(&app, form("seed=1", &twice))
-        .await
-        .expect_error(400, "invalid_option");
+    refuse(&app, form("seed=1", &twice), 400, "invalid_option").await;
     assert_eq!(fake.generations.load(Ordering::SeqCst), 0);
-    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    succeed(&app, raw("", "song")).await;
 }
 
 #[tokio::test]
 async fn bodies_that_hold_no_audio_are_refused() {
-    ask(raw("", "")).await.expect_error(400, "missing_audio");
-    ask(form("", &[("file", b"")]))
-        .await
-        .expect_error(400, "missing_audio");
-    ask(form("", &[("seed", b"1")]))
-        .await
-        .expect_error(400, "missing_audio");
-    ask(form("", &[])).await.expect_error(400, "missing_audio");
-    ask(form("", &[("file", b"a"), ("file", b"b")]))
-        .await
-        .expect_error(400, "invalid_multipart");
-    let broken = |kind: &'static str, body: &'static str| {
-        let mut request = raw("", body);
-        request
-            .headers_mut()
-            .insert(header::CONTENT_TYPE, kind.parse().unwrap());
-        request
-    };
+    let app = app(&Fake::new(), &Limits::default());
+    let forms: [&[(&str, &[u8])]; 3] = [&[("file", b"")], &[("seed", b"1")], &[]];
+    for request in forms
+        .map(|parts| form("", parts))
+        .into_iter()
+        .chain([raw("", "")])
+    {
+        refuse(&app, request, 400, "missing_audio").await;
+    }
+    let twice = form("", &[("file", b"a"), ("file", b"b")]);
+    refuse(&app, twice, 400, "invalid_multipart").await;
+    let broken = |kind: &str, body: &'static str| with(raw("", body), "content-type", kind);
     for (kind, body) in [
         ("multipart/form-data", "--x"),
         ("multipart/form-data; boundary=x", ""),
@@ -229,32 +186,24 @@ async fn bodies_that_hold_no_audio_are_refused() {
             "--x\r\nContent-Disposition: form-data; name=\"file\"\r\n\r\nhalf",
         ),
     ] {
-        ask(broken(kind, body))
-            .await
-            .expect_error(400, "invalid_multipart");
+        refuse(&app, broken(kind, body), 400, "invalid_multipart").await;
     }
-    for kind in ["application/json", "text/plain", "image/png"] {
-        ask(broken(kind, "{}"))
-            .await
-            .expect_error(415, "unsupported_media_type");
+    for request in [
+        broken("application/json", "{}"),
+        broken("text/plain", "{}"),
+        broken("image/png", "{}"),
+        with(raw("", "song"), "content-encoding", "gzip"),
+    ] {
+        refuse(&app, request, 415, "unsupported_media_type").await;
     }
-    let mut request = raw("", "song");
-    request
-        .headers_mut()
-        .insert(header::CONTENT_ENCODING, "gzip".parse().unwrap());
-    ask(request)
-        .await
-        .expect_error(415, "unsupported_media_type");
 }
 
 #[tokio::test]
 async fn a_panic_costs_its_own_request_only() {
     let app = app(&Fake::new(), &Limits::default());
     for _ in 0..5 {
-        let said = send(&app, raw("", PANIC))
-            .await
-            .expect_error(500, "internal");
+        let said = refuse(&app, raw("", PANIC), 500, "internal").await;
         assert!(!said.contains("test wants"), "internals leaked: {said}");
     }
-    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    succeed(&app, raw("", "song")).await;
 }

@@ -80,7 +80,7 @@ async fn a_job_is_ordered_asked_about_fetched_and_deleted() {
     assert_eq!(bvh.header("x-seed"), "4");
     let another = get(&app, &format!("{result}?seed=5")).await;
     let said = another.expect_error(400, "invalid_option");
-    assert!(said.contains("the dance is made already"), "{said}");
+    assert!(said.contains("the motion exists already"), "{said}");
     assert_eq!(delete(&app, &path).await, StatusCode::NO_CONTENT);
     get(&app, &path).await.expect_error(404, "no_such_job");
     assert_eq!(delete(&app, &path).await, StatusCode::NOT_FOUND);

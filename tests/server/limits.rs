@@ -1,4 +1,4 @@
-//! Limits of number and time, and what is held meanwhile.
+//! Limits of number and time, and what requests hold meanwhile.
 
 use std::{
     convert::Infallible,
@@ -12,7 +12,7 @@ use std::{
 
 use axum::{
     body::Body,
-    http::{HeaderValue, Request, StatusCode, header},
+    http::{Request, StatusCode},
 };
 use bailando::server::{ByteSize, Limits, Seconds};
 use bytes::Bytes;
@@ -21,7 +21,10 @@ use tokio::task::JoinSet;
 use tower::ServiceExt;
 
 use crate::{
-    client::{Answer, app, eventually, form, get, post, raw, send, small_limits, until_counted},
+    client::{
+        Answer, app, eventually, form, get, post, raw, refuse, send, small_limits, spawn, succeed,
+        until_counted, with,
+    },
     fake::{BLOCK, Fake},
 };
 
@@ -48,10 +51,10 @@ async fn a_full_queue_is_answered_at_once_and_probes_still_pass() {
     for answer in requests.join_all().await {
         assert_eq!(answer.status, StatusCode::OK);
     }
-    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    succeed(&app, raw("", "song")).await;
 }
 
-/// A body that says whether anything of it was read, and never ends.
+/// Returns a body that never ends, and whether any of it was read.
 fn watched() -> (Body, Arc<AtomicBool>) {
     let read = Arc::new(AtomicBool::new(false));
     let told = Arc::clone(&read);
@@ -67,7 +70,7 @@ async fn until_read(read: &AtomicBool) {
     eventually("a body is read", read).await;
 }
 
-/// The permit comes before the body: what nobody can use is not read.
+/// The permit comes before the body: a body without a permit is not read.
 #[tokio::test]
 async fn no_body_is_read_without_a_permit() {
     let fake = Fake::new();
@@ -78,54 +81,41 @@ async fn no_body_is_read_without_a_permit() {
     let app = app(&fake, &limits);
     // While one upload is on its way, another is refused.
     let (slow, slow_read) = watched();
-    let uploading = tokio::spawn({
-        let app = app.clone();
-        async move { send(&app, raw("", slow)).await }
-    });
+    let uploading = spawn(&app, raw("", slow));
     until_read(&slow_read).await;
     let (body, read) = watched();
-    let refused = send(&app, raw("", body)).await;
-    refused.expect_error(429, "too_many_uploads");
+    refuse(&app, raw("", body), 429, "too_many_uploads").await;
     assert!(!read.load(Ordering::SeqCst));
     uploading.abort();
     assert!(uploading.await.unwrap_err().is_cancelled());
-    // And so it is where the line is full.
-    let mut blocked = JoinSet::new();
-    for _ in 0..2 {
-        let app = app.clone();
-        blocked.spawn(async move { send(&app, raw("", BLOCK)).await });
-    }
+    // Nor is a body read while the queue is full.
+    let blocked = [(); 2].map(|()| spawn(&app, raw("", BLOCK)));
     fake.wait_started(1).await;
     until_counted(&app, &["bailando_queue_waiting 1"]).await;
     let (body, read) = watched();
-    let refused = send(&app, raw("", body)).await;
-    refused.expect_error(429, "queue_full");
+    refuse(&app, raw("", body), 429, "queue_full").await;
     assert!(!read.load(Ordering::SeqCst));
     fake.release();
-    for answer in blocked.join_all().await {
-        assert_eq!(answer.status, StatusCode::OK);
+    for answer in blocked {
+        assert_eq!(answer.await.unwrap().status, StatusCode::OK);
     }
-    // Nor where the model has stopped.
+    // Nor when the model has stopped.
     fake.stopped.store(true, Ordering::SeqCst);
     let (body, read) = watched();
-    let refused = send(&app, raw("", body)).await;
-    refused.expect_error(503, "model_stopped");
+    refuse(&app, raw("", body), 503, "model_stopped").await;
     assert!(!read.load(Ordering::SeqCst));
 }
 
-/// A slow upload takes no place to work in: others work meanwhile.
+/// A slow upload takes no worker.
 #[tokio::test]
-async fn a_slow_upload_keeps_nobody_from_working() {
+async fn a_slow_upload_takes_no_worker() {
     let fake = Fake::new();
     let app = app(&fake, &small_limits());
     let (slow, read) = watched();
-    let uploading = tokio::spawn({
-        let app = app.clone();
-        async move { send(&app, raw("", slow)).await }
-    });
+    let uploading = spawn(&app, raw("", slow));
     until_read(&read).await;
     for _ in 0..3 {
-        assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+        succeed(&app, raw("", "song")).await;
     }
     uploading.abort();
 }
@@ -134,17 +124,16 @@ async fn a_slow_upload_keeps_nobody_from_working() {
 async fn answers_are_held_within_their_memory() {
     let limits = Limits {
         answer_memory: ByteSize(1),
-        // Of which half is waited for room.
+        // A response waits for memory for half of it.
         request_timeout: Seconds::new(4),
         ..small_limits()
     };
     let app = app(&Fake::new(), &limits);
     let untaken = app.clone().oneshot(raw("", "song")).await.unwrap();
     assert_eq!(untaken.status(), StatusCode::OK);
-    let refused = send(&app, raw("", "song")).await;
-    refused.expect_error(503, "answer_memory");
+    refuse(&app, raw("", "song"), 503, "answer_memory").await;
     drop(untaken);
-    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    succeed(&app, raw("", "song")).await;
 }
 
 #[tokio::test]
@@ -156,12 +145,8 @@ async fn a_song_waits_for_its_seconds() {
         ..small_limits()
     };
     let app = app(&fake, &limits);
-    let mut requests = JoinSet::new();
-    for _ in 0..2 {
-        let app = app.clone();
-        requests.spawn(async move { send(&app, raw("", BLOCK)).await });
-    }
-    // Both have a place to work in, and all seconds are taken.
+    let requests = [(); 2].map(|()| spawn(&app, raw("", BLOCK)));
+    // Both have a worker, and all seconds are taken.
     let taken = [
         "bailando_requests_running 2",
         "bailando_audio_seconds_in_flight 600",
@@ -170,29 +155,25 @@ async fn a_song_waits_for_its_seconds() {
     fake.wait_started(1).await;
     assert_eq!(fake.generations.load(Ordering::SeqCst), 1);
     fake.release();
-    for answer in requests.join_all().await {
-        assert_eq!(answer.status, StatusCode::OK);
+    for answer in requests {
+        assert_eq!(answer.await.unwrap().status, StatusCode::OK);
     }
 }
 
-/// In the header and in the JSON alike, for who waits in line and for a job.
+/// In the header and in the JSON alike, for a queued request and for a job.
 #[tokio::test]
-async fn the_time_in_line_is_told() {
+async fn the_time_in_the_queue_is_reported() {
     const WAIT: Duration = Duration::from_millis(30);
     let fake = Fake::new();
     let app = app(&fake, &small_limits());
-    let ask = |audio: &'static [u8]| {
-        let app = app.clone();
-        tokio::spawn(async move { send(&app, raw("", audio)).await })
-    };
     let told = |answer: &Answer| {
         let queue = answer.json()["timings_ms"]["queue"].as_f64().unwrap();
         assert_eq!(answer.header("x-queue-time").parse(), Ok(queue));
         Duration::from_secs_f64(queue / 1e3)
     };
-    let running = ask(BLOCK);
+    let running = spawn(&app, raw("", BLOCK));
     fake.wait_started(1).await;
-    let queued = ask(b"song");
+    let queued = spawn(&app, raw("", "song"));
     let job = send(&app, post("/jobs", "", "song")).await;
     until_counted(&app, &["bailando_queue_waiting 1"]).await;
     tokio::time::sleep(WAIT).await;
@@ -208,7 +189,7 @@ async fn the_time_in_line_is_told() {
 }
 
 #[tokio::test]
-async fn a_client_that_asks_too_often_is_told_when_to_come_back() {
+async fn a_client_above_the_rate_limit_is_told_when_to_retry() {
     let fake = Fake::new();
     let limits = Limits {
         rate_limit: NonZeroU32::new(1),
@@ -217,13 +198,13 @@ async fn a_client_that_asks_too_often_is_told_when_to_come_back() {
     };
     let app = app(&fake, &limits);
     for _ in 0..2 {
-        assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+        succeed(&app, raw("", "song")).await;
     }
     let refused = send(&app, raw("", "song")).await;
     refused.expect_error(429, "rate_limited");
     let wait: u64 = refused.header("retry-after").parse().unwrap();
     assert!((30..=60).contains(&wait), "{wait}");
-    // Probes are no work.
+    // Probes are not limited.
     for path in ["/health", "/ready", "/info", "/metrics"] {
         assert_eq!(get(&app, path).await.status, StatusCode::OK);
     }
@@ -233,7 +214,7 @@ async fn a_client_that_asks_too_often_is_told_when_to_come_back() {
 async fn work_that_takes_too_long_is_stopped() {
     let fake = Fake::new();
     let limits = Limits {
-        // Short, but long enough for the song that is danced to afterwards.
+        // Short, but long enough for the song afterwards.
         request_timeout: Seconds::new(1),
         ..small_limits()
     };
@@ -242,25 +223,22 @@ async fn work_that_takes_too_long_is_stopped() {
     answer.expect_error(503, "timeout");
     fake.wait_ended(1).await;
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
-    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    succeed(&app, raw("", "song")).await;
 }
 
 #[tokio::test]
-async fn a_client_that_leaves_stops_its_work() {
+async fn a_client_that_disconnects_stops_its_work() {
     let fake = Fake::new();
     let app = app(&fake, &small_limits());
-    let request = tokio::spawn({
-        let app = app.clone();
-        async move { send(&app, raw("", BLOCK)).await }
-    });
+    let request = spawn(&app, raw("", BLOCK));
     fake.wait_started(1).await;
     request.abort();
     fake.wait_ended(1).await;
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
-    assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
+    succeed(&app, raw("", "song")).await;
 }
 
-/// Nothing is waited for and nothing is read where no answer would be accepted.
+/// A request whose response would not be accepted is refused before it waits or is read.
 #[tokio::test]
 async fn a_wrong_accept_header_costs_no_permit() {
     let fake = Fake::new();
@@ -269,28 +247,17 @@ async fn a_wrong_accept_header_costs_no_permit() {
         ..small_limits()
     };
     let app = app(&fake, &limits);
-    let running = tokio::spawn({
-        let app = app.clone();
-        async move { send(&app, raw("", BLOCK)).await }
-    });
+    let running = spawn(&app, raw("", BLOCK));
     fake.wait_started(1).await;
-    let ask = async |mut request: Request<Body>| {
-        let picture = HeaderValue::from_static("image/png");
-        request.headers_mut().insert(header::ACCEPT, picture);
-        send(&app, request).await
-    };
+    let picture = |request: Request<Body>| with(request, "accept", "image/png");
     let endless = Body::from_stream(stream::pending::<Result<Bytes, Infallible>>());
-    ask(raw("", endless))
-        .await
-        .expect_error(406, "not_acceptable");
+    refuse(&app, picture(raw("", endless)), 406, "not_acceptable").await;
     // An explicit format wins over the header, and the form's may still come.
     let parts: [(&str, &[u8]); 1] = [("file", b"song")];
     for request in [raw("format=bvh", "song"), form("", &parts)] {
-        ask(request).await.expect_error(429, "queue_full");
+        refuse(&app, picture(request), 429, "queue_full").await;
     }
     fake.release();
     assert_eq!(running.await.unwrap().status, StatusCode::OK);
-    ask(form("", &parts))
-        .await
-        .expect_error(406, "not_acceptable");
+    refuse(&app, picture(form("", &parts)), 406, "not_acceptable").await;
 }

@@ -1,4 +1,4 @@
-//! The HTTP service, in process: through the router, and through a socket where it matters.
+//! The HTTP service in process: through the router, and through a socket where that matters.
 
 #![allow(
     clippy::unwrap_used,

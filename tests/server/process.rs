@@ -1,4 +1,4 @@
-//! The program itself: how it starts, how it is stopped, what its probe asks.
+//! The program itself: start, stop, health check.
 
 use std::{
     fs,
@@ -12,7 +12,7 @@ use std::{
 
 use crate::client::LONG;
 
-/// Without settings of whoever runs the tests.
+/// Runs the program without the settings of the environment.
 fn bailando(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
     command
@@ -93,7 +93,7 @@ fn wait_until_ready(port: u16) {
     }
 }
 
-/// A model with a file of a terabyte of nothing: reading it takes as long as a test does.
+/// Writes a model with an empty file of a terabyte: reading it takes longer than any test.
 fn endless_model(folder: &Path) {
     const BYTES: u64 = 1 << 40;
     let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default/manifest.json");
@@ -195,8 +195,8 @@ fn limits_that_mean_nothing_are_wrong_use() {
     }
 }
 
-/// Answers one request with 204, and tells its first line.
-fn answer_once(listener: TcpListener) -> thread::JoinHandle<String> {
+/// Accepts one request, answers it with 200, and returns its first line in lower case and its body.
+fn answer_once(listener: TcpListener) -> thread::JoinHandle<(String, Vec<u8>)> {
     thread::spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
         let mut head = Vec::new();
@@ -205,11 +205,17 @@ fn answer_once(listener: TcpListener) -> thread::JoinHandle<String> {
             stream.read_exact(&mut byte).unwrap();
             head.extend(byte);
         }
+        let head = String::from_utf8(head).unwrap().to_lowercase();
+        let mut lines = head.lines();
+        let length = lines
+            .clone()
+            .find_map(|line| line.strip_prefix("content-length: "));
+        let mut body = vec![0; length.map_or(0, |length| length.parse().unwrap())];
+        stream.read_exact(&mut body).unwrap();
         stream
-            .write_all(b"HTTP/1.1 204 No Content\r\nConnection: close\r\n\r\n")
+            .write_all(b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
             .unwrap();
-        let head = String::from_utf8(head).unwrap();
-        head.lines().next().unwrap().to_owned()
+        (lines.next().unwrap().to_owned(), body)
     })
 }
 
@@ -251,38 +257,15 @@ fn the_probe_asks_where_the_settings_say_and_no_proxy() {
         }
         settings(&mut probe, port);
         let asked = thread::spawn(move || probe.output().unwrap());
-        let line = answer_once(listener);
+        let asked_for = answer_once(listener);
         let output = asked.join().unwrap();
         assert!(output.status.success(), "{path}: {}", said(&output));
-        assert_eq!(line.join().unwrap(), format!("GET {path} HTTP/1.1"));
+        let line = asked_for.join().unwrap().0;
+        assert_eq!(line, format!("get {path} http/1.1"));
     }
 }
 
-/// Takes one request whole, answers it with 200, and gives its first line and body.
-fn collect_once(listener: TcpListener) -> thread::JoinHandle<(String, Vec<u8>)> {
-    thread::spawn(move || {
-        let (mut stream, _) = listener.accept().unwrap();
-        let mut head = Vec::new();
-        while !head.ends_with(b"\r\n\r\n") {
-            let mut byte = [0];
-            stream.read_exact(&mut byte).unwrap();
-            head.extend(byte);
-        }
-        let head = String::from_utf8(head).unwrap().to_lowercase();
-        let length = head
-            .lines()
-            .find_map(|line| line.strip_prefix("content-length: "))
-            .unwrap();
-        let mut body = vec![0; length.parse().unwrap()];
-        stream.read_exact(&mut body).unwrap();
-        stream
-            .write_all(b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
-            .unwrap();
-        (head.lines().next().unwrap().to_owned(), body)
-    })
-}
-
-/// What is not sent yet when the server is stopped is sent then.
+/// The last spans are sent when the server stops.
 #[test]
 fn traces_go_to_the_collector_that_the_settings_name() {
     let collector = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -293,7 +276,7 @@ fn traces_go_to_the_collector_that_the_settings_name() {
         .stderr(Stdio::null())
         .spawn();
     let mut server = Running(child.unwrap());
-    let collected = collect_once(collector);
+    let collected = answer_once(collector);
     wait_until_ready(port);
     server.terminate();
     assert_eq!(server.wait().code(), Some(0));

@@ -12,7 +12,7 @@ const LONGEST_FILE: u64 = 64 * 1024;
 pub struct ApiKey(String);
 
 impl ApiKey {
-    /// Compares in a time that tells nothing of the key but its length.
+    /// Compares in a time that depends on nothing but the lengths.
     #[must_use]
     pub fn is(&self, sent: &[u8]) -> bool {
         self.0.as_bytes().ct_eq(sent).into()
@@ -49,10 +49,10 @@ pub enum KeysError {
         /// What the operating system says.
         source: io::Error,
     },
-    /// A key was meant to be set, and is not.
+    /// A key was meant to be set, and is empty.
     #[error("--api-key (BAILANDO_API_KEY) is empty: give a key, or leave it out")]
     Empty,
-    /// A server that was meant to ask for a key must not start without.
+    /// The file holds no key: a server that should require one must not start without.
     #[error("{path} holds no API key, or is larger than {LONGEST_FILE} bytes: write one a line")]
     None {
         /// The file.
@@ -60,7 +60,7 @@ pub enum KeysError {
     },
 }
 
-/// The keys in a file, one a line.
+/// Reads the keys in a file, one a line.
 pub(super) fn read(path: &Path) -> Result<Vec<ApiKey>, KeysError> {
     let named = || path.display().to_string();
     let failed = |source| KeysError::Read {

@@ -1,4 +1,4 @@
-//! What a caller may ask for.
+//! Bounds of what callers may ask for.
 
 use std::{
     cmp::Ordering,
@@ -8,271 +8,136 @@ use std::{
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::{ByteSize, Seconds};
-use crate::{audio::AudioLimits, engine::DEFAULT_BATCH, server::form};
+use super::units::{ByteSize, Seconds};
+use crate::{audio::AudioLimits, engine::DEFAULT_BATCH};
 
-/// Memory that a second of audio takes, all stages together; measured (`tests/load/uploads.py`).
+/// Memory for one second of audio, all stages together; measured (`tests/load/uploads.py`).
 const BYTES_PER_SECOND: f64 = 700_000.0;
+/// Most bytes of a form beside its parts: boundaries and part headers. The parser never has to keep
+/// more than that.
+pub(crate) const FORM_OVERHEAD: u64 = 64 * 1024;
 
-/// Every limit of the service, as `GET /info` reports it.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema, clap::Args)]
-pub struct Limits {
-    /// Requests that are worked on at the same time
-    #[arg(
-        long,
-        env = "BAILANDO_MAX_CONCURRENT_REQUESTS",
-        default_value_t = Limits::default().max_concurrent_requests
-    )]
-    #[schema(value_type = u64)]
-    pub max_concurrent_requests: NonZeroUsize,
-    /// Requests that may wait for their turn; one more is answered 429 with Retry-After
-    #[arg(long, env = "BAILANDO_QUEUE", default_value_t = Limits::default().queue)]
-    pub queue: usize,
-    /// Dances that share a step of the model, each candidate counted; so much of its memory is taken
-    #[arg(long, env = "BAILANDO_BATCH", default_value_t = Limits::default().batch)]
-    #[schema(value_type = u64)]
-    pub batch: NonZeroUsize,
-    /// Requests whose bodies may be on their way at the same time; one more is answered 429
-    #[arg(
-        long,
-        env = "BAILANDO_MAX_UPLOADS",
-        default_value_t = Limits::default().max_uploads
-    )]
-    #[schema(value_type = u64)]
-    pub max_uploads: NonZeroUsize,
-    /// Bytes of uploads that are held at the same time, until they are decoded; what goes beyond is answered 429
-    #[arg(
-        long,
-        env = "BAILANDO_UPLOAD_MEMORY",
-        default_value_t = Limits::default().upload_memory
-    )]
-    #[serde(rename = "upload_memory_bytes")]
-    #[schema(value_type = u64)]
-    pub upload_memory: ByteSize,
-    /// Bytes of answers that are held for their readers at the same time; who goes beyond waits
-    #[arg(
-        long,
-        env = "BAILANDO_ANSWER_MEMORY",
-        default_value_t = Limits::default().answer_memory
-    )]
-    #[serde(rename = "answer_memory_bytes")]
-    #[schema(value_type = u64)]
-    pub answer_memory: ByteSize,
-    /// Seconds of audio that are worked on at the same time; who goes beyond waits
-    #[arg(
-        long,
-        env = "BAILANDO_AUDIO_SECONDS_IN_FLIGHT",
-        default_value_t = Limits::default().audio_seconds_in_flight,
-        value_parser = above_zero
-    )]
-    pub audio_seconds_in_flight: f64,
-    /// Jobs that are kept at the same time, finished ones included; one more takes the place of one whose
-    /// result was fetched, or else is answered 429
-    #[arg(
-        long,
-        env = "BAILANDO_MAX_JOBS",
-        default_value_t = Limits::default().max_jobs
-    )]
-    #[schema(value_type = u64)]
-    pub max_jobs: NonZeroUsize,
-    /// Time in seconds that a finished job is kept
-    #[arg(
-        long,
-        env = "BAILANDO_JOB_TTL",
-        default_value_t = Limits::default().job_ttl
-    )]
-    #[serde(rename = "job_ttl_s")]
-    #[schema(value_type = f64)]
-    pub job_ttl: Seconds,
-    /// Requests a minute that each client may make of the routes that work, on average; clients are told
-    /// apart by their API key, else by the address that connects: behind a proxy all without a key are one
-    /// client [default: no limit]
-    #[arg(long, env = "BAILANDO_RATE_LIMIT")]
-    #[serde(rename = "rate_limit_per_minute")]
-    #[schema(value_type = Option<u32>)]
-    pub rate_limit: Option<NonZeroU32>,
-    /// Requests that a client may make at once, where there is a rate limit
-    #[arg(
-        long,
-        env = "BAILANDO_RATE_BURST",
-        default_value_t = Limits::default().rate_burst
-    )]
-    #[schema(value_type = u32)]
-    pub rate_burst: NonZeroU32,
-    /// Connections at the same time; further ones wait to be accepted
-    #[arg(
-        long,
-        env = "BAILANDO_MAX_CONNECTIONS",
-        default_value_t = Limits::default().max_connections
-    )]
-    #[schema(value_type = u64)]
-    pub max_connections: NonZeroUsize,
-    /// Requests at the same time on one HTTP/2 connection
-    #[arg(
-        long,
-        env = "BAILANDO_MAX_HTTP2_STREAMS",
-        default_value_t = Limits::default().max_http2_streams
-    )]
-    #[schema(value_type = u32)]
-    pub max_http2_streams: NonZeroU32,
-    /// Longest time in seconds that sending a request's head may take, and that a connection may be idle
-    #[arg(
-        long,
-        env = "BAILANDO_HEADER_READ_TIMEOUT",
-        default_value_t = Limits::default().header_read_timeout
-    )]
-    #[serde(rename = "header_read_timeout_s")]
-    #[schema(value_type = f64)]
-    pub header_read_timeout: Seconds,
-    /// Longest time in seconds that a client may take nothing of its answer
-    #[arg(
-        long,
-        env = "BAILANDO_ANSWER_IDLE_TIMEOUT",
-        default_value_t = Limits::default().answer_idle_timeout
-    )]
-    #[serde(rename = "answer_idle_timeout_s")]
-    #[schema(value_type = f64)]
-    pub answer_idle_timeout: Seconds,
-    /// Largest audio file; bytes, or with kB, MB, KiB, MiB
-    #[arg(
-        long,
-        env = "BAILANDO_PAYLOAD_LIMIT",
-        default_value_t = Limits::default().payload_limit
-    )]
-    #[serde(rename = "payload_limit_bytes")]
-    #[schema(value_type = u64)]
-    pub payload_limit: ByteSize,
-    /// Largest wav or flac file (told from its first bytes)
-    #[arg(
-        long,
-        env = "BAILANDO_PAYLOAD_LIMIT_LOSSLESS",
-        default_value_t = Limits::default().payload_limit_lossless
-    )]
-    #[serde(rename = "payload_limit_lossless_bytes")]
-    #[schema(value_type = u64)]
-    pub payload_limit_lossless: ByteSize,
-    /// Shortest audio in seconds
-    #[arg(
-        long,
-        env = "BAILANDO_MIN_AUDIO_SECONDS",
-        default_value_t = Limits::default().min_audio_seconds,
-        value_parser = zero_or_more
-    )]
-    pub min_audio_seconds: f64,
-    /// Longest audio in seconds, counted while decoding
-    #[arg(
-        long,
-        env = "BAILANDO_MAX_AUDIO_SECONDS",
-        default_value_t = Limits::default().max_audio_seconds,
-        value_parser = above_zero
-    )]
-    pub max_audio_seconds: f64,
-    /// Lowest sample rate of an upload in Hz
-    #[arg(
-        long,
-        env = "BAILANDO_MIN_SAMPLE_RATE",
-        default_value_t = Limits::default().min_sample_rate,
-        value_parser = clap::value_parser!(u32).range(1..)
-    )]
-    #[serde(rename = "min_sample_rate_hz")]
-    pub min_sample_rate: u32,
-    /// Highest sample rate of an upload in Hz
-    #[arg(
-        long,
-        env = "BAILANDO_MAX_SAMPLE_RATE",
-        default_value_t = Limits::default().max_sample_rate,
-        value_parser = clap::value_parser!(u32).range(1..)
-    )]
-    #[serde(rename = "max_sample_rate_hz")]
-    pub max_sample_rate: u32,
-    /// Most channels of an upload
-    #[arg(
-        long,
-        env = "BAILANDO_MAX_CHANNELS",
-        default_value_t = Limits::default().max_channels,
-        value_parser = at_least_one
-    )]
-    pub max_channels: usize,
-    /// Longest time in seconds that decoding one upload may take
-    #[arg(
-        long,
-        env = "BAILANDO_DECODE_TIMEOUT",
-        default_value_t = Limits::default().decode_timeout
-    )]
-    #[serde(rename = "decode_timeout_s")]
-    #[schema(value_type = f64)]
-    pub decode_timeout: Seconds,
-    /// Longest silence in seconds while a body is sent
-    #[arg(
-        long,
-        env = "BAILANDO_BODY_IDLE_TIMEOUT",
-        default_value_t = Limits::default().body_idle_timeout
-    )]
-    #[serde(rename = "body_idle_timeout_s")]
-    #[schema(value_type = f64)]
-    pub body_idle_timeout: Seconds,
-    /// Longest time in seconds that sending a whole body may take
-    #[arg(
-        long,
-        env = "BAILANDO_BODY_TIMEOUT",
-        default_value_t = Limits::default().body_timeout
-    )]
-    #[serde(rename = "body_timeout_s")]
-    #[schema(value_type = f64)]
-    pub body_timeout: Seconds,
-    /// Longest time in seconds from a request's head to its answer, waiting included
-    #[arg(
-        long,
-        env = "BAILANDO_REQUEST_TIMEOUT",
-        default_value_t = Limits::default().request_timeout
-    )]
-    #[serde(rename = "request_timeout_s")]
-    #[schema(value_type = f64)]
-    pub request_timeout: Seconds,
-    /// Time in seconds that accepted requests have left once the server is told to stop
-    #[arg(
-        long,
-        env = "BAILANDO_SHUTDOWN_TIMEOUT",
-        default_value_t = Limits::default().shutdown_timeout
-    )]
-    #[serde(rename = "shutdown_timeout_s")]
-    #[schema(value_type = f64)]
-    pub shutdown_timeout: Seconds,
+/// Defines all limits: description, name and type, name and type in JSON, environment variable,
+/// default, and the parser where the type has none of its own.
+macro_rules! limits {
+    ($(
+        $(#[doc = $about:literal])+
+        $name:ident: $type:ty [$json:literal $($schema:tt)+]
+            $env:literal $(= $default:expr)? $(, $parser:expr)?;
+    )+) => {
+        /// Every limit of the service, as `GET /info` reports it.
+        #[derive(Clone, Debug, PartialEq, Serialize, ToSchema, clap::Args)]
+        pub struct Limits {
+            $(
+                $(#[doc = $about])+
+                #[arg(
+                    long,
+                    env = $env
+                    $(, default_value_t = $default)?
+                    $(, value_parser = $parser)?
+                )]
+                #[serde(rename = $json)]
+                #[schema(value_type = $($schema)+)]
+                pub $name: $type,
+            )+
+        }
+
+        impl Default for Limits {
+            fn default() -> Self {
+                Self {
+                    $($name: limits!(default $($default)?),)+
+                }
+            }
+        }
+    };
+    (default) => { None };
+    (default $value:expr) => { $value };
 }
 
-impl Default for Limits {
-    fn default() -> Self {
-        let audio = AudioLimits::default();
-        Self {
-            max_concurrent_requests: NonZeroUsize::MIN.saturating_add(3),
-            queue: 32,
-            batch: DEFAULT_BATCH,
-            max_uploads: NonZeroUsize::MIN.saturating_add(255),
-            upload_memory: ByteSize(400_000_000),
-            answer_memory: ByteSize(400_000_000),
-            audio_seconds_in_flight: 2400.0,
-            max_jobs: NonZeroUsize::MIN.saturating_add(15),
-            job_ttl: Seconds::new(600),
-            rate_limit: None,
-            rate_burst: NonZeroU32::MIN.saturating_add(9),
-            max_connections: NonZeroUsize::MIN.saturating_add(1023),
-            max_http2_streams: NonZeroU32::MIN.saturating_add(31),
-            header_read_timeout: Seconds::new(10),
-            answer_idle_timeout: Seconds::new(30),
-            payload_limit: ByteSize(25_000_000),
-            payload_limit_lossless: ByteSize(100_000_000),
-            min_audio_seconds: audio.min_seconds,
-            max_audio_seconds: audio.max_seconds,
-            min_sample_rate: audio.min_sample_rate,
-            max_sample_rate: audio.max_sample_rate,
-            max_channels: audio.max_channels,
-            decode_timeout: Seconds(audio.max_decode_time),
-            body_idle_timeout: Seconds::new(10),
-            body_timeout: Seconds::new(60),
-            request_timeout: Seconds::new(120),
-            shutdown_timeout: Seconds::new(30),
-        }
-    }
+limits! {
+    /// Requests that are processed at the same time
+    max_concurrent_requests: NonZeroUsize ["max_concurrent_requests" u64]
+        "BAILANDO_MAX_CONCURRENT_REQUESTS" = count(4);
+    /// Requests that may wait for a worker; one more is answered 429 with Retry-After
+    queue: usize ["queue" usize] "BAILANDO_QUEUE" = 32;
+    /// Sequences that share a step of the model, each candidate counted; memory is taken for all of
+    /// them
+    batch: NonZeroUsize ["batch" u64] "BAILANDO_BATCH" = DEFAULT_BATCH;
+    /// Requests whose bodies may be in transfer at the same time; one more is answered 429
+    max_uploads: NonZeroUsize ["max_uploads" u64] "BAILANDO_MAX_UPLOADS" = count(256);
+    /// Bytes of uploads that are held at the same time, until they are decoded; above it, uploads
+    /// are answered 429
+    upload_memory: ByteSize ["upload_memory_bytes" u64]
+        "BAILANDO_UPLOAD_MEMORY" = ByteSize(400_000_000);
+    /// Bytes of responses that are held for their readers at the same time; further responses wait
+    answer_memory: ByteSize ["answer_memory_bytes" u64]
+        "BAILANDO_ANSWER_MEMORY" = ByteSize(400_000_000);
+    /// Seconds of audio that are processed at the same time; further songs wait
+    audio_seconds_in_flight: f64 ["audio_seconds_in_flight" f64]
+        "BAILANDO_AUDIO_SECONDS_IN_FLIGHT" = 2400.0, above_zero;
+    /// Jobs that are kept at the same time, finished ones included; one more replaces a job whose
+    /// result was fetched, or else is answered 429
+    max_jobs: NonZeroUsize ["max_jobs" u64] "BAILANDO_MAX_JOBS" = count(16);
+    /// Time in seconds that a finished job is kept
+    job_ttl: Seconds ["job_ttl_s" f64] "BAILANDO_JOB_TTL" = Seconds::new(600);
+    /// Requests a minute, on average, that each client may make of the routes that need a key;
+    /// clients are distinguished by their API key, else by the address that connects: behind a
+    /// proxy all clients without a key count as one [default: no limit]
+    rate_limit: Option<NonZeroU32> ["rate_limit_per_minute" Option<u32>] "BAILANDO_RATE_LIMIT";
+    /// Requests that a client may make at once, where there is a rate limit
+    rate_burst: NonZeroU32 ["rate_burst" u32]
+        "BAILANDO_RATE_BURST" = NonZeroU32::MIN.saturating_add(9);
+    /// Connections at the same time; further ones wait
+    max_connections: NonZeroUsize ["max_connections" u64]
+        "BAILANDO_MAX_CONNECTIONS" = count(1024);
+    /// Requests at the same time on one HTTP/2 connection
+    max_http2_streams: NonZeroU32 ["max_http2_streams" u32]
+        "BAILANDO_MAX_HTTP2_STREAMS" = NonZeroU32::MIN.saturating_add(31);
+    /// Longest time in seconds to send the head of a request, and for a connection to be idle
+    header_read_timeout: Seconds ["header_read_timeout_s" f64]
+        "BAILANDO_HEADER_READ_TIMEOUT" = Seconds::new(10);
+    /// Longest time in seconds that a client may read nothing of its response
+    answer_idle_timeout: Seconds ["answer_idle_timeout_s" f64]
+        "BAILANDO_ANSWER_IDLE_TIMEOUT" = Seconds::new(30);
+    /// Largest audio file; bytes, or with kB, MB, KiB, MiB
+    payload_limit: ByteSize ["payload_limit_bytes" u64]
+        "BAILANDO_PAYLOAD_LIMIT" = ByteSize(25_000_000);
+    /// Largest wav or flac file (recognised by its first bytes)
+    payload_limit_lossless: ByteSize ["payload_limit_lossless_bytes" u64]
+        "BAILANDO_PAYLOAD_LIMIT_LOSSLESS" = ByteSize(100_000_000);
+    /// Shortest audio in seconds
+    min_audio_seconds: f64 ["min_audio_seconds" f64]
+        "BAILANDO_MIN_AUDIO_SECONDS" = AudioLimits::default().min_seconds, zero_or_more;
+    /// Longest audio in seconds, counted while decoding
+    max_audio_seconds: f64 ["max_audio_seconds" f64]
+        "BAILANDO_MAX_AUDIO_SECONDS" = AudioLimits::default().max_seconds, above_zero;
+    /// Lowest sample rate of an upload in Hz
+    min_sample_rate: u32 ["min_sample_rate_hz" u32] "BAILANDO_MIN_SAMPLE_RATE"
+        = AudioLimits::default().min_sample_rate, clap::value_parser!(u32).range(1..);
+    /// Highest sample rate of an upload in Hz
+    max_sample_rate: u32 ["max_sample_rate_hz" u32] "BAILANDO_MAX_SAMPLE_RATE"
+        = AudioLimits::default().max_sample_rate, clap::value_parser!(u32).range(1..);
+    /// Most channels of an upload
+    max_channels: usize ["max_channels" usize]
+        "BAILANDO_MAX_CHANNELS" = AudioLimits::default().max_channels, at_least_one;
+    /// Longest time in seconds to decode one upload
+    decode_timeout: Seconds ["decode_timeout_s" f64]
+        "BAILANDO_DECODE_TIMEOUT" = Seconds(AudioLimits::default().max_decode_time);
+    /// Longest silence in seconds while a body is sent
+    body_idle_timeout: Seconds ["body_idle_timeout_s" f64]
+        "BAILANDO_BODY_IDLE_TIMEOUT" = Seconds::new(10);
+    /// Longest time in seconds to send a whole body
+    body_timeout: Seconds ["body_timeout_s" f64] "BAILANDO_BODY_TIMEOUT" = Seconds::new(60);
+    /// Longest time in seconds from the head of a request to its response, waiting included
+    request_timeout: Seconds ["request_timeout_s" f64]
+        "BAILANDO_REQUEST_TIMEOUT" = Seconds::new(120);
+    /// Time in seconds for accepted requests to finish once the server is told to stop
+    shutdown_timeout: Seconds ["shutdown_timeout_s" f64]
+        "BAILANDO_SHUTDOWN_TIMEOUT" = Seconds::new(30);
+}
+
+const fn count(count: usize) -> NonZeroUsize {
+    NonZeroUsize::MIN.saturating_add(count - 1)
 }
 
 /// Limits that contradict each other.
@@ -295,18 +160,18 @@ pub enum LimitsError {
         /// Highest rate in Hz.
         max: u32,
     },
-    /// The largest file would never find room.
+    /// The largest file would never fit.
     #[error("--upload-memory {memory} is less than the largest file in a form, {body}")]
     UploadMemory {
-        /// Room for all uploads.
+        /// Memory for all uploads.
         memory: ByteSize,
-        /// The largest file, with what a form has around it.
+        /// The largest file in a form.
         body: ByteSize,
     },
-    /// The longest song would never have its turn.
+    /// The longest song would never be processed.
     #[error("--audio-seconds-in-flight {in_flight} is less than --max-audio-seconds {longest}")]
     AudioInFlight {
-        /// Room for all songs.
+        /// Seconds of all songs together.
         in_flight: f64,
         /// The longest song.
         longest: f64,
@@ -320,7 +185,7 @@ impl Limits {
     /// [`LimitsError`] names the first two that are not.
     pub fn check(&self) -> Result<(), LimitsError> {
         let (min, max) = (self.min_audio_seconds, self.max_audio_seconds);
-        // A bound that is not a number is in no order.
+        // NaN compares with nothing.
         if min.partial_cmp(&max).is_none_or(Ordering::is_gt) {
             return Err(LimitsError::AudioSeconds { min, max });
         }
@@ -342,25 +207,25 @@ impl Limits {
         Ok(())
     }
 
-    /// The largest file of any kind.
+    /// Returns the largest size of a file of any format.
     pub(crate) fn largest_file(&self) -> ByteSize {
         self.payload_limit.max(self.payload_limit_lossless)
     }
 
-    /// The largest file, and what a form has around it.
+    /// Returns the largest size of a file in a form.
     pub(crate) fn largest_body(&self) -> ByteSize {
-        ByteSize(self.largest_file().0.saturating_add(form::OVERHEAD))
+        ByteSize(self.largest_file().0.saturating_add(FORM_OVERHEAD))
     }
 
-    /// Most bytes that one request takes while it is worked on: its upload, and for every second of audio the
-    /// signals, features, motion and answer.
+    /// Returns the most bytes of one request that is being processed: its upload, and for every
+    /// second of audio the signals, features, motion and response.
     #[must_use]
     pub fn memory_per_request(&self) -> u64 {
         let upload = self.largest_file().0;
         upload.saturating_add((self.max_audio_seconds * BYTES_PER_SECOND) as u64)
     }
 
-    /// The part of the limits that the decoder enforces.
+    /// Returns the limits that the decoder enforces.
     #[must_use]
     pub fn audio(&self) -> AudioLimits {
         AudioLimits {

@@ -10,14 +10,23 @@ use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
 
 use clap::builder::FalseyValueParser;
 
+pub(crate) use self::limits::FORM_OVERHEAD;
 pub use self::{
     keys::{ApiKey, KeysError},
     limits::{Limits, LimitsError},
     origin::Origin,
     units::{ByteSize, Seconds},
 };
-use super::access::Access;
 use crate::engine::{EngineConfig, Observer};
+
+/// API keys and allowed origins.
+#[derive(Clone, Debug, Default)]
+pub struct Access {
+    /// Keys that callers must send one of; without any, every caller is accepted.
+    pub keys: Vec<ApiKey>,
+    /// Origins whose pages may call (CORS); `*` for all.
+    pub origins: Vec<Origin>,
+}
 
 /// Settings of `serve`.
 #[derive(Clone, Debug, clap::Args)]
@@ -38,11 +47,11 @@ pub struct ServerConfig {
     /// Threads that compute one step of the model [default: all cores]
     #[arg(long, env = "BAILANDO_THREADS")]
     pub threads: Option<NonZeroUsize>,
-    /// What a caller may ask for.
+    /// Bounds of what callers may ask for.
     #[command(flatten)]
     pub limits: Limits,
     /// Key that callers must send, as `Authorization: Bearer KEY` or `X-API-Key: KEY`; several with
-    /// commas. Probes, metrics and documentation need none [default: no key is asked for]
+    /// commas. Probes, metrics and documentation need none [default: no key is required]
     #[arg(
         long,
         env = "BAILANDO_API_KEY",
@@ -53,11 +62,12 @@ pub struct ServerConfig {
     /// File of API keys, one a line, in addition to --api-key
     #[arg(long, env = "BAILANDO_API_KEY_FILE")]
     pub api_key_file: Option<PathBuf>,
-    /// Origins whose pages may call the server (CORS), each a scheme, a host and perhaps a port, with commas; *
-    /// for all [default: none]
+    /// Origins whose pages may call the server (CORS), each a scheme, a host and perhaps a port;
+    /// several with commas; * for all [default: none]
     #[arg(long, env = "BAILANDO_CORS_ALLOW_ORIGIN", value_delimiter = ',')]
     pub cors_allow_origin: Vec<Origin>,
-    /// Collector that traces are sent to: OTLP over HTTP, such as http://localhost:4318 [default: none]
+    /// Collector that traces are sent to: OTLP over HTTP, such as http://localhost:4318 [default:
+    /// none]
     #[arg(long, env = "BAILANDO_OTLP_ENDPOINT")]
     pub otlp_endpoint: Option<String>,
     /// Write the log as JSON lines
@@ -83,7 +93,7 @@ impl Default for ServerConfig {
 }
 
 impl ServerConfig {
-    /// Who is let in: with the keys of the settings and those of the file, from the origins.
+    /// Returns the API keys of the settings and of the key file, and the allowed origins.
     ///
     /// # Errors
     /// [`KeysError`] if the file cannot be read or holds no key.
@@ -103,7 +113,7 @@ impl ServerConfig {
         })
     }
 
-    /// What the engine needs of these settings.
+    /// Returns the engine's part of the settings.
     #[must_use]
     pub fn engine(&self, observer: Arc<dyn Observer>) -> EngineConfig {
         let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
@@ -111,7 +121,7 @@ impl ServerConfig {
             model_dir: self.model_dir.clone(),
             threads: self.threads.map_or_else(cores, NonZeroUsize::get),
             batch: self.limits.batch.get(),
-            // Only a request that holds a permit asks the model for anything.
+            // Only requests with a permit use the model.
             queue: self.limits.max_concurrent_requests.get(),
             audio: self.limits.audio(),
             observer,
@@ -136,24 +146,12 @@ mod tests {
 
     #[test]
     fn flags_are_read_and_defaults_are_those_of_the_struct() {
-        let parsed = Command::try_parse_from([
-            "serve",
-            "--port",
-            "0",
-            "--payload-limit",
-            "1MiB",
-            "--request-timeout",
-            "1.5",
-            "--json-output",
-        ])
-        .unwrap()
-        .config;
+        let flags = "serve --port 0 --payload-limit 1MiB --request-timeout 1.5 --json-output";
+        let parsed = Command::try_parse_from(flags.split(' ')).unwrap().config;
         assert_eq!(parsed.port, 0);
         assert_eq!(parsed.limits.payload_limit, ByteSize(1_048_576));
-        assert_eq!(
-            parsed.limits.request_timeout.0,
-            Duration::from_millis(1_500)
-        );
+        let timeout = parsed.limits.request_timeout.0;
+        assert_eq!(timeout, Duration::from_millis(1_500));
         assert!(parsed.json_output);
         let defaults = Command::try_parse_from(["serve"]).unwrap().config;
         assert_eq!(defaults.limits, Limits::default());
@@ -166,17 +164,7 @@ mod tests {
         for text in ["", "MB", "-1", "12 apples", "1.5MB", "99999999999GB"] {
             assert!(text.parse::<ByteSize>().is_err(), "{text:?}");
         }
-        for text in [
-            "",
-            "0",
-            "-1",
-            "NaN",
-            "inf",
-            "1e300",
-            "1e19",
-            "315360001",
-            "soon",
-        ] {
+        for text in " 0 -1 NaN inf 1e300 1e19 315360001 soon".split(' ') {
             assert!(text.parse::<Seconds>().is_err(), "{text:?}");
         }
         assert_eq!("315360000".parse(), Ok(Seconds::new(315_360_000)));
@@ -184,25 +172,20 @@ mod tests {
 
     #[test]
     fn limits_that_mean_nothing_are_refused() {
+        let parse = |given: &str| Command::try_parse_from(["serve", given]);
         for (flag, values) in [
-            (
-                "--max-audio-seconds",
-                &["nan", "-5", "0", "inf", "long"][..],
-            ),
-            ("--min-audio-seconds", &["nan", "-0.1", "-inf"]),
-            ("--min-sample-rate", &["0", "-1", "4294967296"]),
-            ("--max-sample-rate", &["0"]),
-            ("--max-channels", &["0", "-1"]),
+            ("--max-audio-seconds", "nan -5 0 inf long"),
+            ("--min-audio-seconds", "nan -0.1 -inf"),
+            ("--min-sample-rate", "0 -1 4294967296"),
+            ("--max-sample-rate", "0"),
+            ("--max-channels", "0 -1"),
         ] {
-            for value in values {
+            for value in values.split(' ') {
                 let given = format!("{flag}={value}");
-                assert!(
-                    Command::try_parse_from(["serve", &given]).is_err(),
-                    "{given}"
-                );
+                assert!(parse(&given).is_err(), "{given}");
             }
         }
-        assert!(Command::try_parse_from(["serve", "--min-audio-seconds=0"]).is_ok());
+        assert!(parse("--min-audio-seconds=0").is_ok());
     }
 
     #[test]

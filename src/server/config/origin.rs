@@ -1,4 +1,4 @@
-//! Origins whose pages may call.
+//! Origins whose pages may call (CORS).
 
 use std::str::FromStr;
 
@@ -7,17 +7,17 @@ use axum::http::{
     uri::{Authority, Scheme},
 };
 
-/// An origin whose pages may call, as browsers name it, or all of them.
+/// An origin whose pages may call, as browsers name it, or `*` for all.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Origin(HeaderValue);
 
 impl Origin {
-    /// Whether all origins are meant.
+    /// Returns whether this is `*`.
     pub(crate) fn is_any(&self) -> bool {
         self.0 == "*"
     }
 
-    /// What the header `Origin` of its pages says.
+    /// Returns the value of the header `Origin` from its pages.
     pub(crate) fn header(&self) -> HeaderValue {
         self.0.clone()
     }
@@ -40,7 +40,7 @@ impl FromStr for Origin {
     }
 }
 
-/// A scheme, a host and perhaps a port (RFC 6454, section 6.1), and nothing else.
+/// Returns whether `text` is a scheme, a host and perhaps a port (RFC 6454, section 6.1).
 fn is_origin(text: &str) -> bool {
     let Some((scheme, place)) = text.split_once("://") else {
         return false;

@@ -60,16 +60,16 @@ impl fmt::Display for ByteSize {
 pub struct Seconds(pub Duration);
 
 impl Seconds {
-    /// Ten years: far more than anybody waits, and a moment so far away can still be reckoned.
+    /// Ten years: more than any wait, and still a moment that a clock can represent.
     const LONGEST: u64 = 10 * 365 * 24 * 60 * 60;
 
-    /// Whole seconds.
+    /// Makes a time of whole seconds.
     #[must_use]
     pub const fn new(seconds: u64) -> Self {
         Self(Duration::from_secs(seconds))
     }
 
-    /// Rounded up to whole seconds and at least one, as `Retry-After` wants it.
+    /// Rounds up to whole seconds, at least one, as `Retry-After` requires.
     pub(crate) fn retry_after(self) -> u64 {
         let up = u64::from(self.0.subsec_nanos() > 0);
         self.0.as_secs().saturating_add(up).max(1)

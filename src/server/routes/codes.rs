@@ -16,7 +16,8 @@ use crate::{
     formats::{CodePoseJson, pose_json},
     model::SuppressedCodes,
     server::{
-        error::{ErrorBody, ServerError},
+        error::ServerError,
+        response::documented::{CodePoseErrors, CodebookErrors},
         state::SharedState,
         work,
     },
@@ -48,24 +49,12 @@ pub(crate) struct Codebooks {
 #[utoipa::path(
     get,
     path = "/codes",
+    operation_id = "get_codebooks",
     tag = "codes",
     responses(
         (status = 200, description = "The codebooks.", body = Codebooks),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (
-            status = 429,
-            description = "This client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-        (
-            status = 503,
-            description = "The model is being loaded.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+        CodebookErrors,
+    )
 )]
 pub(crate) async fn codebooks(
     State(state): State<SharedState>,
@@ -87,6 +76,7 @@ pub(crate) async fn codebooks(
 #[utoipa::path(
     get,
     path = "/codes/{upper}/{lower}",
+    operation_id = "get_code_pose",
     tag = "codes",
     params(
         ("upper" = u32, Path, description = "Code of the upper half of the body."),
@@ -94,23 +84,8 @@ pub(crate) async fn codebooks(
     ),
     responses(
         (status = 200, description = "The motion.", body = CodePoseJson<'static>),
-        (status = 400, description = "A code is not in the codebook.", body = ErrorBody),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (
-            status = 429,
-            description = "Too many requests are waiting, or this client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-        (status = 500, description = "The server is at fault.", body = ErrorBody),
-        (
-            status = 503,
-            description = "The model is being loaded or has stopped, the server is shutting down, or there was no result in time.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+        CodePoseErrors,
+    )
 )]
 pub(crate) async fn pose(
     State(state): State<SharedState>,
@@ -127,8 +102,8 @@ pub(crate) async fn pose(
 
 async fn shown(state: &SharedState, [upper, lower]: [u32; 2]) -> Result<Vec<u8>, ServerError> {
     let engine = Arc::clone(state.engine()?);
-    state.admission.check_room()?;
-    let permit = state.admission.admit().await?;
+    state.resources.admission.check_room()?;
+    let permit = state.resources.admission.admit().await?;
     let fps = engine.manifest().fps;
     let metrics = Arc::clone(&state.metrics);
     // A task of its own: the permit is held until the work has ended.

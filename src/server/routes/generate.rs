@@ -9,16 +9,18 @@ use axum::{
 };
 
 use crate::{
-    formats::{GeneratedMotion, MotionJson, OutputFormat, Timings},
+    formats::{GeneratedMotion, OutputFormat, Timings},
     server::{
-        admission::Permit,
         body::IncomingBody,
         envelope::time_header,
-        error::{ErrorBody, ServerError},
+        error::ServerError,
         intake::{self, Purpose},
-        options::{AudioFile, GenerateForm, RequestOptions},
-        outgoing,
-        room::Share,
+        options::RequestOptions,
+        resources::{Permit, Reservation},
+        response::{
+            documented::{GenerationErrors, MotionResponse},
+            idle_body,
+        },
         state::SharedState,
         warnings, work,
     },
@@ -31,55 +33,10 @@ use crate::{
 #[utoipa::path(
     post,
     path = "/generate",
+    operation_id = "generate_motion",
     tag = "dance",
     params(RequestOptions),
-    request_body(
-        description = "The song: wav, flac, mp3, ogg/vorbis or m4a/aac, told from its bytes.",
-        content(
-            (GenerateForm = "multipart/form-data"),
-            (AudioFile = "audio/*"),
-            (AudioFile = "application/octet-stream")
-        )
-    ),
-    responses(
-        (
-            status = 200,
-            description = "The dance.",
-            content((MotionJson<'static> = "application/json"), (String = "application/x-bvh")),
-            headers(
-                ("x-seed" = u64, description = "The seed that was used."),
-                ("x-tail" = String, description = "The option `continue_from` of a dance that is to go on from the end of this one; the JSON carries it as `tail`."),
-                ("x-total-time" = f64, description = "Milliseconds in all."),
-                ("x-queue-time" = f64, description = "Milliseconds spent waiting."),
-                ("x-decode-time" = f64, description = "Milliseconds of decoding the audio."),
-                ("x-feature-time" = f64, description = "Milliseconds of music features."),
-                ("x-inference-time" = f64, description = "Milliseconds in the model."),
-                ("x-warnings" = String, description = "What the caller should know about the dance, for example that the file ended early. One header for each warning, up to 8, in plain ASCII of up to 200 characters; absent without warnings. The JSON carries the same texts in full as `warnings`."),
-                ("x-request-id" = String, description = "The request's id."),
-            )
-        ),
-        (status = 400, description = "An option or the form is wrong, or there is no audio.", body = ErrorBody),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (status = 406, description = "The Accept header names no format of ours.", body = ErrorBody),
-        (status = 408, description = "The body was not sent in time.", body = ErrorBody),
-        (status = 413, description = "The audio file is too large.", body = ErrorBody),
-        (status = 415, description = "The body is no audio that is accepted, or compressed.", body = ErrorBody),
-        (status = 422, description = "The audio cannot be decoded, or is too short or too long.", body = ErrorBody),
-        (
-            status = 429,
-            description = "Too many requests are waiting, too much is being uploaded, or this client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-        (status = 500, description = "The server is at fault.", body = ErrorBody),
-        (
-            status = 503,
-            description = "The model is being loaded or has stopped, the server is shutting down, there was no result in time, or answers that nobody takes leave no room for it.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+    responses(MotionResponse, GenerationErrors,)
 )]
 pub(crate) async fn generate(
     State(state): State<SharedState>,
@@ -99,15 +56,15 @@ async fn render(
 ) -> Result<Rendered, ServerError> {
     let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
     let made = async {
-        let permit = state.admission.admit_traced().await?;
+        let permit = state.resources.admission.admit().await?;
         let (dance, work) = work::dance(state, &mut order, permit, "generate").await?;
         let dance = Arc::new(dance);
         let (options, format) = (order.options.clone(), order.shape.format);
         let written = Arc::clone(&dance);
         let body = work::write(&state.metrics, Some(&work), written, options, format).await?;
         // Slow readers hold memory: the permit is free only once there is some.
-        let room = state.room(body.len()).await?;
-        work.end().into_iter().for_each(Permit::danced);
+        let room = state.resources.reserve_response(body.len()).await?;
+        work.end().into_iter().for_each(Permit::complete);
         Ok(Rendered::new(&dance, body, format, room))
     }
     .await;
@@ -123,7 +80,7 @@ pub(crate) struct Rendered {
     tail: Option<String>,
     timings: Timings,
     warnings: Vec<String>,
-    room: Share,
+    room: Reservation,
 }
 
 impl Rendered {
@@ -131,7 +88,7 @@ impl Rendered {
         dance: &GeneratedMotion,
         body: Vec<u8>,
         format: OutputFormat,
-        room: Share,
+        room: Reservation,
     ) -> Self {
         Self {
             body,
@@ -174,7 +131,7 @@ impl Rendered {
             }
         }
         let patience = state.limits.answer_idle_timeout.0;
-        let body = outgoing::whole(self.body, (under_way, self.room), patience, taken);
+        let body = idle_body::from_bytes(self.body, (under_way, self.room), patience, taken);
         (headers, body).into_response()
     }
 }

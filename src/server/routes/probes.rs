@@ -10,9 +10,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::server::{
-    error::{ErrorBody, ServerError},
-    info::Info,
-    state::SharedState,
+    error::ServerError, info::Info, response::documented::NotReady, state::SharedState,
 };
 
 /// Answer of the probes.
@@ -26,6 +24,7 @@ pub(crate) struct Status {
 #[utoipa::path(
     get,
     path = "/health",
+    operation_id = "get_health",
     tag = "probes",
     responses((status = 200, description = "The server lives.", body = Status))
 )]
@@ -37,15 +36,11 @@ pub(crate) async fn health() -> Json<Status> {
 #[utoipa::path(
     get,
     path = "/ready",
+    operation_id = "get_readiness",
     tag = "probes",
     responses(
-        (status = 200, description = "Requests are taken.", body = Status),
-        (
-            status = 503,
-            description = "The model is being loaded or has stopped, or the server is shutting down.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
+        (status = 200, description = "Requests are accepted.", body = Status),
+        NotReady,
     )
 )]
 pub(crate) async fn ready(State(state): State<SharedState>) -> Result<Json<Status>, ServerError> {
@@ -60,15 +55,11 @@ pub(crate) async fn ready(State(state): State<SharedState>) -> Result<Json<Statu
 #[utoipa::path(
     get,
     path = "/info",
+    operation_id = "get_info",
     tag = "probes",
     responses(
         (status = 200, description = "About this service.", body = Info),
-        (
-            status = 503,
-            description = "The model is being loaded.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
+        NotReady,
     )
 )]
 pub(crate) async fn info(State(state): State<SharedState>) -> Result<Json<Info>, ServerError> {
@@ -82,6 +73,7 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
 #[utoipa::path(
     get,
     path = "/metrics",
+    operation_id = "get_metrics",
     tag = "probes",
     responses((
         status = 200,

@@ -8,10 +8,10 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 use crate::{
     formats::GeneratedMotion,
     server::{
-        admission::Permit,
         error::ServerError,
         intake::Order,
         jobs::{Finished, Job, JobState},
+        resources::Permit,
         state::SharedState,
         work,
     },
@@ -98,12 +98,12 @@ async fn run(
     job: &Job,
 ) -> Result<GeneratedMotion, ServerError> {
     let ordered = Instant::now();
-    let _slot = state.job_slots.acquire().await?;
-    let mut permit = state.admission.admit_patient().await?;
+    let _slot = state.resources.job_workers.reserve(1).await;
+    let mut permit = state.resources.admission.admit_unqueued().await;
     permit.waited = ordered.elapsed();
     job.turn(JobState::Running);
     let (dance, work) = work::dance(state, order, permit, "job").await?;
-    work.end().into_iter().for_each(Permit::danced);
+    work.end().into_iter().for_each(Permit::complete);
     Ok(dance)
 }
 
@@ -113,7 +113,7 @@ mod tests {
 
     use super::*;
     use crate::server::{
-        access::{Access, Client},
+        access::Client,
         config::{Limits, Seconds},
         metrics::SharedMetrics,
         state::ServerState,
@@ -132,7 +132,7 @@ mod tests {
             max_jobs: NonZeroUsize::MIN,
             ..Limits::default()
         };
-        let state = ServerState::loading(limits, Access::default(), SharedMetrics::default());
+        let state = ServerState::loading(limits, SharedMetrics::default());
         let first = job(&state);
         state.jobs.put(Arc::clone(&first)).unwrap();
         first.turn(JobState::Failed(ServerError::MissingAudio.report()));
@@ -158,7 +158,7 @@ mod tests {
             job_ttl: Seconds(time),
             ..Limits::default()
         };
-        let state = ServerState::loading(limits, Access::default(), SharedMetrics::default());
+        let state = ServerState::loading(limits, SharedMetrics::default());
         let job = job(&state);
         let started = Instant::now();
         let kept = keep(

@@ -15,21 +15,19 @@ use tracing::Instrument;
 use utoipa::ToSchema;
 use uuid::Uuid;
 
-use crate::{
-    formats::MotionJson,
-    server::{
-        access::Client,
-        body::IncomingBody,
-        envelope::request_id,
-        error::{ErrorBody, Report, ServerError},
-        intake::{self, Purpose},
-        jobs::{Job, JobState},
-        negotiate,
-        options::{AudioFile, GenerateForm, RequestOptions, shorten},
-        routes::generate::Rendered,
-        state::SharedState,
-        work,
-    },
+use crate::server::{
+    access::Client,
+    body::IncomingBody,
+    envelope::request_id,
+    error::{ErrorBody, Report, ServerError},
+    intake::{self, Purpose},
+    jobs::{Job, JobState},
+    negotiate,
+    options::{OutputOptions, RequestOptions, shorten},
+    response::documented::{JobErrors, JobResultErrors, MotionResponse, NewJobErrors},
+    routes::generate::Rendered,
+    state::SharedState,
+    work,
 };
 
 /// How far a job is.
@@ -85,16 +83,9 @@ impl JobStatus {
 #[utoipa::path(
     post,
     path = "/jobs",
+    operation_id = "create_job",
     tag = "jobs",
     params(RequestOptions),
-    request_body(
-        description = "The song: wav, flac, mp3, ogg/vorbis or m4a/aac, told from its bytes.",
-        content(
-            (GenerateForm = "multipart/form-data"),
-            (AudioFile = "audio/*"),
-            (AudioFile = "application/octet-stream")
-        )
-    ),
     responses(
         (
             status = 202,
@@ -105,26 +96,8 @@ impl JobStatus {
                 ("x-request-id" = String, description = "The request's id."),
             )
         ),
-        (status = 400, description = "An option or the form is wrong, or there is no audio.", body = ErrorBody),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (status = 408, description = "The body was not sent in time.", body = ErrorBody),
-        (status = 413, description = "The audio file is too large.", body = ErrorBody),
-        (status = 415, description = "The body is no audio that is accepted, or compressed.", body = ErrorBody),
-        (
-            status = 429,
-            description = "Too many jobs are kept, too much is being uploaded, or this client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-        (status = 500, description = "The server is at fault.", body = ErrorBody),
-        (
-            status = 503,
-            description = "The model is being loaded or has stopped, the server is shutting down, or the song was not here in time.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+        NewJobErrors,
+    )
 )]
 pub(crate) async fn create(
     State(state): State<SharedState>,
@@ -161,20 +134,13 @@ pub(crate) async fn create(
 #[utoipa::path(
     get,
     path = "/jobs/{id}",
+    operation_id = "get_job",
     tag = "jobs",
     params(("id" = String, Path, description = "The job's id.")),
     responses(
         (status = 200, description = "How far it is.", body = JobStatus),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (status = 404, description = "There is no such job.", body = ErrorBody),
-        (
-            status = 429,
-            description = "This client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+        JobErrors,
+    )
 )]
 pub(crate) async fn status(
     State(state): State<SharedState>,
@@ -192,46 +158,16 @@ pub(crate) async fn status(
 #[utoipa::path(
     get,
     path = "/jobs/{id}/result",
+    operation_id = "get_job_result",
     tag = "jobs",
     params(
         ("id" = String, Path, description = "The job's id."),
-        ("format" = Option<String>, Query, description = "Format of the dance: json or bvh. Wins over the Accept header."),
-        ("include" = Option<String>, Query, description = "`rotations` adds local rotations and the root's path to the JSON."),
-        ("encoding" = Option<String>, Query, description = "How the JSON carries large arrays: json or base64."),
-        ("bvh_unit" = Option<String>, Query, description = "Unit of lengths in BVH: cm or m."),
+        OutputOptions,
     ),
     responses(
-        (
-            status = 200,
-            description = "The dance.",
-            content((MotionJson<'static> = "application/json"), (String = "application/x-bvh")),
-            headers(
-                ("x-seed" = u64, description = "The seed that was used."),
-                ("x-tail" = String, description = "The option `continue_from` of a dance that is to go on from the end of this one."),
-            )
-        ),
-        (status = 400, description = "An option is wrong.", body = ErrorBody),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (status = 404, description = "There is no such job.", body = ErrorBody),
-        (status = 406, description = "The Accept header names no format of ours.", body = ErrorBody),
-        (status = 409, description = "The job is not done.", body = ErrorBody),
-        (status = 415, description = "The song is no audio that is accepted.", body = ErrorBody),
-        (status = 422, description = "The song cannot be decoded, or is too short or too long.", body = ErrorBody),
-        (
-            status = 429,
-            description = "This client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-        (status = 500, description = "The server is at fault.", body = ErrorBody),
-        (
-            status = 503,
-            description = "The job was cut off because the server stops, or the answer could not begin in time.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+        MotionResponse,
+        JobResultErrors,
+    )
 )]
 pub(crate) async fn result(
     State(state): State<SharedState>,
@@ -259,10 +195,10 @@ pub(crate) async fn result(
     };
     let under_way = state.lifecycle.go_on();
     let rendered = state.in_time(async {
-        let _writer = state.writers.acquire().await?;
+        let _writer = state.resources.writers.reserve(1).await;
         let dance = Arc::clone(&finished.dance);
         let body = work::write(&state.metrics, None, dance, options, format).await?;
-        let room = state.room(body.len()).await?;
+        let room = state.resources.reserve_response(body.len()).await?;
         Ok(Rendered::new(&finished.dance, body, format, room))
     });
     let rendered = rendered.await?;
@@ -278,20 +214,13 @@ fn failed(job: &Job, report: Report) -> Response {
 #[utoipa::path(
     delete,
     path = "/jobs/{id}",
+    operation_id = "delete_job",
     tag = "jobs",
     params(("id" = String, Path, description = "The job's id.")),
     responses(
         (status = 204, description = "There is no such job any more."),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (status = 404, description = "There is no such job.", body = ErrorBody),
-        (
-            status = 429,
-            description = "This client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+        JobErrors,
+    )
 )]
 pub(crate) async fn delete(
     State(state): State<SharedState>,

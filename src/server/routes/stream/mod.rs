@@ -16,15 +16,17 @@ use self::sender::{Event, Forward, Sender};
 use crate::{
     engine::{Generation, Opening},
     server::{
-        admission::Permit,
         body::IncomingBody,
         envelope::request_id,
-        error::{ErrorBody, ServerError},
+        error::ServerError,
         intake::{self, Order, Purpose},
         negotiate::{EVENTS, LINES},
-        options::{AudioFile, GenerateForm, RequestOptions},
-        outgoing,
-        room::Share,
+        options::RequestOptions,
+        resources::{Permit, Reservation},
+        response::{
+            documented::{GenerationErrors, StreamResponse},
+            idle_body,
+        },
         routes::generate::{SEED, times},
         state::SharedState,
         tracker::Work,
@@ -42,52 +44,10 @@ use crate::{
 #[utoipa::path(
     post,
     path = "/generate/stream",
+    operation_id = "stream_motion",
     tag = "dance",
     params(RequestOptions),
-    request_body(
-        description = "The song: wav, flac, mp3, ogg/vorbis or m4a/aac, told from its bytes.",
-        content(
-            (GenerateForm = "multipart/form-data"),
-            (AudioFile = "audio/*"),
-            (AudioFile = "application/octet-stream")
-        )
-    ),
-    responses(
-        (
-            status = 200,
-            description = "Events: objects of the schemas StartEvent, FramesEvent, DoneEvent and ErrorEvent.",
-            content((String = "text/event-stream"), (String = "application/x-ndjson")),
-            headers(
-                ("x-seed" = u64, description = "The seed that is used."),
-                ("x-queue-time" = f64, description = "Milliseconds spent waiting for a place to work in."),
-                ("x-decode-time" = f64, description = "Milliseconds of decoding the audio."),
-                ("x-feature-time" = f64, description = "Milliseconds of music features."),
-                ("x-warnings" = String, description = "As in `POST /generate`."),
-                ("x-request-id" = String, description = "The request's id."),
-            )
-        ),
-        (status = 400, description = "An option or the form is wrong, or there is no audio.", body = ErrorBody),
-        (status = 401, description = "An API key is needed, or the one that was sent is not known.", body = ErrorBody),
-        (status = 406, description = "The Accept header names neither kind of events.", body = ErrorBody),
-        (status = 408, description = "The body was not sent in time.", body = ErrorBody),
-        (status = 413, description = "The audio file is too large.", body = ErrorBody),
-        (status = 415, description = "The body is no audio that is accepted, or compressed.", body = ErrorBody),
-        (status = 422, description = "The audio cannot be decoded, or is too short or too long.", body = ErrorBody),
-        (
-            status = 429,
-            description = "Too many requests are waiting, too much is being uploaded, or this client asks too often.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-        (status = 500, description = "The server is at fault.", body = ErrorBody),
-        (
-            status = 503,
-            description = "The model is being loaded or has stopped, the server is shutting down, there was no result in time, or answers that nobody takes leave no room for it.",
-            body = ErrorBody,
-            headers(("retry-after" = u64, description = "Seconds to wait."))
-        ),
-    ),
-    security((), ("bearer" = []), ("api_key" = []))
+    responses(StreamResponse, GenerationErrors,)
 )]
 pub(crate) async fn stream(
     State(state): State<SharedState>,
@@ -102,7 +62,7 @@ pub(crate) async fn stream(
     let headers = head(&opened);
     let patience = state.limits.answer_idle_timeout.0;
     let sender = Sender::new(state, request_id, opened, under_way)?;
-    Ok((headers, outgoing::attended(sender.events(), patience)).into_response())
+    Ok((headers, idle_body::from_stream(sender.events(), patience)).into_response())
 }
 
 fn head(opened: &Opened) -> HeaderMap {
@@ -123,7 +83,7 @@ struct Opened {
     order: Order,
     opening: Opening,
     events: mpsc::UnboundedReceiver<Event>,
-    room: Share,
+    room: Reservation,
 }
 
 async fn open(
@@ -153,11 +113,14 @@ async fn begin(
     state: &SharedState,
     order: &mut Order,
     until: Instant,
-) -> Result<(Opening, mpsc::UnboundedReceiver<Event>, Share), ServerError> {
-    let permit = state.admission.admit_traced().await?;
+) -> Result<(Opening, mpsc::UnboundedReceiver<Event>, Reservation), ServerError> {
+    let permit = state.resources.admission.admit().await?;
     let waited = permit.waited;
     let (request, work) = order.begin(state, permit).await?;
-    let room = state.room(most_bytes(state, order)).await?;
+    let room = state
+        .resources
+        .reserve_response(most_bytes(state, order))
+        .await?;
     let (sender, mut events) = mpsc::unbounded_channel();
     let stream = Arc::new(Forward {
         waited,
@@ -204,7 +167,7 @@ impl Run {
             finished = tokio::time::timeout_at(until, finished) => match finished {
                 Ok(finished) => {
                     let permit = work.end().filter(|_| finished.is_ok());
-                    permit.into_iter().for_each(Permit::danced);
+                    permit.into_iter().for_each(Permit::complete);
                     finished
                 }
                 Err(_) => Err(state.timeout()),

@@ -14,7 +14,7 @@ use crate::{
     motion::{Finished, Finisher, MotionError},
     server::{
         error::{ErrorEvent, ServerError},
-        room::Share,
+        resources::Reservation,
         state::SharedState,
         tracker::Waiting,
         work,
@@ -82,7 +82,7 @@ pub(super) struct Sender {
     /// Making frames of decoded motion, all together.
     motion: Duration,
     waiting: Option<Waiting>,
-    _held: (Box<dyn Send>, Share),
+    _held: (Box<dyn Send>, Reservation),
 }
 
 impl Sender {

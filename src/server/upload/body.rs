@@ -1,10 +1,9 @@
 //! The body of a request while it is read: bounded in bytes and in time, and read to its end even
-//! when nobody wants it any more.
+//! after a refusal.
 
 use std::{
     error::Error,
     pin::Pin,
-    sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
 };
@@ -15,10 +14,10 @@ use futures_util::Stream;
 use http_body_util::BodyExt;
 use tower_http::timeout::{DeadlineBody, TimeoutBody, TimeoutError};
 
-use super::{config::Seconds, uploads::Held};
+use crate::server::{config::Seconds, resources::HeldBytes};
 
-/// How much of an unwanted body is still read, and for how long, so that its sender gets to see the
-/// answer: closing a connection with unread bytes resets it, and the answer is lost.
+/// How much of a refused body is still read, and for how long, so that its sender sees the answer:
+/// closing a connection with unread bytes resets it, and the answer is lost.
 const DISCARD_AT_MOST: u64 = 200_000_000;
 const DISCARD_FOR: Duration = Duration::from_secs(5);
 
@@ -31,21 +30,21 @@ pub(crate) enum BodyError {
     TooSlow,
     #[error("uploads take all of the memory for them")]
     NoRoom { retry_after: Seconds },
-    #[error("too much of the form is no part's")]
+    #[error("the form holds too much beside its parts")]
     FormOverhead,
     #[error("the body broke off: {0}")]
     Broken(axum::Error),
 }
 
-/// A request's body. Dropped before its end, it reads the rest in the background and throws it
-/// away.
+/// The body of a request. Dropped before its end, it reads the rest in the background and discards
+/// it.
 #[derive(Debug)]
 pub(crate) struct IncomingBody {
     body: Body,
     declared: Option<u64>,
     left: u64,
     ended: bool,
-    held: Option<Arc<Held>>,
+    held: Option<HeldBytes>,
 }
 
 impl IncomingBody {
@@ -65,7 +64,7 @@ impl IncomingBody {
         self.declared
     }
 
-    /// Starts both clocks: time without data, and time in all.
+    /// Starts both deadlines: time without data, and time in all.
     pub(crate) fn timed(mut self, idle: Duration, total: Duration) -> Self {
         let body = std::mem::take(&mut self.body);
         self.body = Body::new(TimeoutBody::new(idle, DeadlineBody::new(total, body)));
@@ -78,8 +77,8 @@ impl IncomingBody {
         self
     }
 
-    /// Counts what comes among `held`, and ends with [`BodyError::NoRoom`] where there is none.
-    pub(crate) fn counted(mut self, held: Arc<Held>) -> Self {
+    /// Adds what arrives to `held`, and ends with [`BodyError::NoRoom`] where there is none.
+    pub(crate) fn counted(mut self, held: HeldBytes) -> Self {
         self.held = Some(held);
         self
     }
@@ -87,7 +86,8 @@ impl IncomingBody {
     fn take_in(&mut self, bytes: usize) -> Result<(), BodyError> {
         let left = self.left.checked_sub(bytes as u64);
         self.left = left.ok_or(BodyError::TooLarge)?;
-        self.held.as_ref().map_or(Ok(()), |held| held.more(bytes))
+        let held = self.held.as_ref().map_or(Ok(()), |held| held.add(bytes));
+        held.map_err(|retry_after| BodyError::NoRoom { retry_after })
     }
 }
 

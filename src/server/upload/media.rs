@@ -1,10 +1,10 @@
-//! What kind of body a request has, from its headers.
+//! The kind of body that a request has, from its headers.
 
 use axum::http::{HeaderMap, header};
 
-use super::{error::ServerError, options::shorten};
+use crate::server::{error::ServerError, options::shorten};
 
-/// How the audio comes.
+/// How the audio is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Media {
     /// The body is the audio.
@@ -14,7 +14,7 @@ pub(crate) enum Media {
 }
 
 impl Media {
-    /// Reads `Content-Type` and `Content-Encoding`. What the audio really is, its bytes tell.
+    /// Reads `Content-Type` and `Content-Encoding`. The audio's own format is read from its bytes.
     ///
     /// # Errors
     /// [`ServerError::UnsupportedMedia`] for compressed bodies and for types that are not audio.
@@ -46,7 +46,8 @@ impl Media {
             | "video/mp4" => Ok(Self::Raw),
             _ if kind.starts_with("audio/") => Ok(Self::Raw),
             _ => Err(ServerError::UnsupportedMedia(format!(
-                "content type {:?} is not accepted: send multipart/form-data with part `file`, or audio/* or application/octet-stream",
+                "content type {:?} is not accepted: send multipart/form-data with part `file`, \
+                 or audio/* or application/octet-stream",
                 shorten(kind)
             ))),
         }

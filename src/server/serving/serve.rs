@@ -1,44 +1,44 @@
-//! Starting, listening, and stopping in good order.
+//! Start, service, drain and stop.
 
 use std::{future::Future, io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
 
 use futures_util::{Stream, StreamExt, stream};
 use tokio::net::TcpListener;
 
-use super::{
-    access::Access,
-    config::{KeysError, Limits, LimitsError, Seconds, ServerConfig},
-    connection,
-    metrics::{Metrics, SharedMetrics},
-    router::router_with,
-    state::{Generate, ServerState, SharedState},
-    stop::Signals,
+use super::{connection, signals::Signals};
+use crate::{
+    engine::{Engine, EngineConfig, EngineError},
+    server::{
+        config::{Access, KeysError, Limits, LimitsError, Seconds, ServerConfig},
+        metrics::{Metrics, SharedMetrics},
+        router::router_with,
+        state::{Generate, ServerState, SharedState},
+    },
 };
-use crate::engine::{Engine, EngineConfig, EngineError};
 
-/// How long requests have to answer once they were told to give up.
+/// Time for requests to answer once they were told to give up.
 const LAST_WORDS: Duration = Duration::from_secs(1);
-/// How long connections have to close once no request is under way: one that sent half a request's
-/// head would otherwise hold the server for as long as it likes.
+/// Time for connections to close once no request is in progress: a client that has sent half the
+/// head of a request would otherwise hold the server for as long as it likes.
 const CONNECTION_GRACE: Duration = Duration::from_secs(1);
 
-/// How often the model is looked after.
-const LOOK_AFTER_MODEL: Duration = Duration::from_secs(1);
+/// Interval at which the model is checked.
+const MODEL_CHECK: Duration = Duration::from_secs(1);
 
-/// Why the server did not start, or ended other than in good order.
+/// Why the server did not start, or did not stop cleanly.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServeError {
     /// Two limits contradict each other.
     #[error(transparent)]
     Limits(#[from] LimitsError),
-    /// There are no API keys where there should be.
+    /// The API keys cannot be read, or there are none.
     #[error(transparent)]
     Keys(#[from] KeysError),
     /// The operating system gives no threads or no timers.
     #[error("the async runtime cannot be started")]
     Runtime(#[source] io::Error),
-    /// Nobody could stop the server in good order.
+    /// The server could not be stopped cleanly.
     #[error("Ctrl-C and SIGTERM cannot be listened for")]
     Signals(#[source] io::Error),
     /// The address is taken, or not one of this machine.
@@ -61,41 +61,42 @@ pub enum ServeError {
     /// The model has stopped for good.
     #[error("the model has stopped")]
     ModelStopped,
-    /// Requests were cut off when their time was over.
+    /// Requests were cut off at the end of the shutdown timeout.
     #[error(
-        "{lost} requests were cut off: they had not ended {timeout} s after the server was told to stop"
+        "{lost} requests were cut off: they had not ended {timeout} s after the server was told to \
+         stop"
     )]
     DrainTimeout {
-        /// Requests that were under way.
+        /// Requests that were in progress.
         lost: usize,
-        /// The time they had.
+        /// The time that they had.
         timeout: Seconds,
     },
     /// Requests were cut off because the server was told twice to stop.
     #[error("{lost} requests were cut off: the server was told twice to stop")]
     Hurried {
-        /// Requests that were under way.
+        /// Requests that were in progress.
         lost: usize,
     },
 }
 
-/// What a server is started with, apart from its model.
+/// Settings of a server, apart from its model.
 #[derive(Clone, Debug, Default)]
 pub struct Service {
-    /// What callers may ask for.
+    /// Bounds of what callers may ask for.
     pub limits: Limits,
-    /// Who is let in.
+    /// API keys and allowed origins.
     pub access: Access,
-    /// What is counted.
+    /// Counters and gauges.
     pub metrics: Arc<Metrics>,
 }
 
-/// Serves on `listener` until `stop` tells to stop and the requests under way have ended.
+/// Serves on `listener` until `stop` gives an item and the requests in progress have ended.
 ///
-/// Until `load` has completed, `/health` is answered 200, and `/ready`, `/info` and generations 503.
-/// From the first item of `stop` on, `/ready` and new generations are answered 503. The listener
-/// stays open while requests are under way, so that probes see that; then it closes. A second item
-/// ends everything at once. A model that stops for good is an end in good order too, as far as it goes.
+/// Until `load` has completed, `/health` is answered 200, and `/ready`, `/info` and generations
+/// 503. From the first item of `stop`, `/ready` and new generations are answered 503. The listener
+/// stays open while requests are in progress, so that probes see that; then it closes. A second
+/// item ends everything at once. The server also drains when the model stops for good.
 ///
 /// # Errors
 /// What `load` fails with; [`ServeError::ModelStopped`]; [`ServeError::DrainTimeout`] or
@@ -112,8 +113,8 @@ pub async fn run(
         access,
         metrics,
     } = service;
-    let state = ServerState::loading(limits, access, metrics);
-    // A stream that ends tells nothing more.
+    let state = ServerState::loading(limits, metrics);
+    // A stream that ends gives no more signals.
     let mut stop = pin!(stop.chain(stream::pending()));
     let idle = {
         let state = Arc::clone(&state);
@@ -122,16 +123,16 @@ pub async fn run(
             state.lifecycle.idle().await;
         }
     };
-    let router = router_with(Arc::clone(&state));
+    let router = router_with(Arc::clone(&state), &access);
     let metrics = Arc::clone(&state.metrics);
     let server = connection::serve(listener, router, &state.limits, metrics, idle);
     let mut server = pin!(server);
     let ended = tokio::select! {
         () = &mut server => return Ok(()),
-        // Nothing here can start the model again; whoever looks after the process can.
-        failed = load_and_look_after(&state, load, address) => Err(failed),
+        // Only a new process can start the model again.
+        failed = load_and_watch(&state, load, address) => Err(failed),
         _ = stop.next() => {
-            tracing::info!(under_way = state.lifecycle.under_way(), "shutting down");
+            tracing::info!(in_progress = state.lifecycle.under_way(), "shutting down");
             Ok(())
         }
     };
@@ -139,8 +140,8 @@ pub async fn run(
     ended.and(drained)
 }
 
-/// Loads the model, and says how it failed or that it has stopped.
-async fn load_and_look_after(
+/// Loads the model, and returns when that failed or the model has stopped.
+async fn load_and_watch(
     state: &SharedState,
     load: impl Future<Output = Result<Arc<dyn Generate>, ServeError>>,
     address: SocketAddr,
@@ -152,13 +153,13 @@ async fn load_and_look_after(
     tracing::info!(%address, model = engine.manifest().name, "listening");
     state.finish_loading(Arc::clone(&engine));
     while engine.is_alive() {
-        tokio::time::sleep(LOOK_AFTER_MODEL).await;
+        tokio::time::sleep(MODEL_CHECK).await;
     }
-    tracing::error!("the model has stopped: no more requests are taken");
+    tracing::error!("the model has stopped: no more requests are accepted");
     ServeError::ModelStopped
 }
 
-/// Takes no more requests, and waits until those under way have ended, for as long as they may.
+/// Accepts no more requests, and waits up to the shutdown timeout for those in progress.
 async fn drain(
     state: &SharedState,
     mut server: impl Future<Output = ()> + Unpin,
@@ -182,7 +183,7 @@ async fn drain(
         return Ok(());
     }
     lifecycle.abort();
-    // Elapsed or not, what could be answered has been.
+    // Elapsed or not, every request that could be answered has been.
     let _ = tokio::time::timeout(LAST_WORDS, server).await;
     Err(match why {
         Why::Timeout => ServeError::DrainTimeout { lost, timeout },
@@ -213,7 +214,7 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
         .build()
         .map_err(ServeError::Runtime)?;
     let result = runtime.block_on(async {
-        // First of all: a process that is told to stop while it starts ends in good order too.
+        // First, so that a process that is told to stop while it starts also ends cleanly.
         let signals = Signals::install().map_err(ServeError::Signals)?;
         let listener = TcpListener::bind((config.host.as_str(), config.port))
             .await
@@ -229,7 +230,7 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
     result
 }
 
-/// Reading and hashing the model takes long enough to keep it off the async threads.
+/// Opens the model on a blocking thread: reading and hashing it takes long.
 async fn open(config: EngineConfig) -> Result<Arc<dyn Generate>, ServeError> {
     let engine = tokio::task::spawn_blocking(move || Engine::open(&config))
         .await

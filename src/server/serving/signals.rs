@@ -1,4 +1,4 @@
-//! When the process is told to stop.
+//! Signals that tell the process to stop.
 
 use std::io;
 
@@ -35,7 +35,7 @@ impl Signals {
         })
     }
 
-    /// One item for every time that the process is told to stop.
+    /// Gives one item for every signal.
     pub(super) fn stream(self) -> impl Stream<Item = ()> + Send {
         stream::unfold(self, |mut signals| async {
             signals.next().await.map(|()| ((), signals))

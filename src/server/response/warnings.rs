@@ -1,14 +1,14 @@
-//! A dance's warnings as headers, for formats that have no place for them.
+//! Warnings as headers, for formats that have no place for them.
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 
 const WARNINGS: HeaderName = HeaderName::from_static("x-warnings");
-/// Most warnings that are sent; the last one then says how many are not.
+/// Most warnings that are sent; of more, the last header says how many were left out.
 const MOST: usize = 8;
 /// Longest text of one warning in bytes.
 const LONGEST: usize = 200;
 
-/// Adds one header for each of `warnings`.
+/// Adds one header for each warning.
 pub(crate) fn append(headers: &mut HeaderMap, warnings: &[String]) {
     let shown = if warnings.len() > MOST {
         MOST - 1

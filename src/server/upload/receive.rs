@@ -10,14 +10,16 @@ use futures_util::{Stream, StreamExt, TryStreamExt};
 
 use super::{
     body::{BodyError, IncomingBody},
-    config::{ByteSize, Limits},
-    error::ServerError,
-    form::{self, FormBody, Kept},
+    form::{FormBody, Kept},
     media::Media,
-    options::{LONGEST_VALUE, RequestOptions, shorten},
-    uploads::UploadPermit,
 };
 use crate::audio::is_lossless;
+use crate::server::{
+    config::{ByteSize, FORM_OVERHEAD, Limits},
+    error::ServerError,
+    options::{LONGEST_VALUE, RequestOptions, shorten},
+    resources::UploadReservation,
+};
 
 /// A request that has arrived completely.
 pub(crate) struct Upload {
@@ -25,7 +27,7 @@ pub(crate) struct Upload {
     pub(crate) options: RequestOptions,
 }
 
-/// Refuses a body whose declared length is too large whatever it turns out to be.
+/// Refuses a body with a declared length above every limit.
 ///
 /// # Errors
 /// [`ServerError::TooLarge`].
@@ -44,30 +46,30 @@ pub(crate) fn check_declared(
 /// Reads the whole body. `options` are those of the query; parts of a form add to them.
 ///
 /// # Errors
-/// Anything that is wrong with the upload, in the callers' words.
+/// [`ServerError`] for anything that is wrong with the upload.
 pub(crate) async fn receive(
     parts: Parts,
     body: IncomingBody,
     media: Media,
     options: RequestOptions,
     limits: &Limits,
-    permit: &mut UploadPermit,
+    reservation: &mut UploadReservation,
 ) -> Result<Upload, ServerError> {
     let body = body
         .limited(most_bytes(media, limits))
-        .counted(permit.held());
+        .counted(reservation.bytes());
     let upload = match media {
         Media::Raw => {
             let mut audio = AudioBuffer::new(limits, body.declared());
             collect(&mut audio, body, |error| body_error(&error, limits)).await?;
             Upload {
-                audio: audio.finish(),
+                audio: audio.finish()?,
                 options,
             }
         }
         Media::Form => receive_form(parts, body, options, limits).await?,
     };
-    permit.received();
+    reservation.received();
     if upload.audio.is_empty() {
         return Err(ServerError::MissingAudio);
     }
@@ -112,7 +114,7 @@ async fn receive_form(
             let mut buffer = AudioBuffer::new(limits, None);
             let field = field.inspect_ok(|chunk| kept.delivered(chunk.len()));
             collect(&mut buffer, field, |error| form_error(&error, limits)).await?;
-            audio = Some(buffer.finish());
+            audio = Some(buffer.finish()?);
         } else {
             let value = read_value(field, &kept, limits).await?;
             options.set(&name, &value)?;
@@ -124,7 +126,8 @@ async fn receive_form(
     })
 }
 
-/// The value of an option; one that is too long to be any is cut, and refused by its parser.
+/// Reads the value of an option. A value that is too long for any option is cut, and refused by its
+/// parser.
 async fn read_value(
     mut field: Field<'_>,
     kept: &Kept,
@@ -155,10 +158,10 @@ async fn collect<E>(
     Ok(())
 }
 
-/// Collects audio up to the limit of its container.
+/// Audio so far, up to the limit of the format that its first bytes name.
 struct AudioBuffer<'a> {
     bytes: BytesMut,
-    // Believed only where it is too large: nothing is reserved for it.
+    // Only used to refuse early: no memory is reserved for it.
     declared: u64,
     limits: &'a Limits,
 }
@@ -174,18 +177,24 @@ impl<'a> AudioBuffer<'a> {
 
     fn push(&mut self, chunk: &[u8]) -> Result<(), ServerError> {
         self.bytes.extend_from_slice(chunk);
-        let limit = match is_lossless(&self.bytes) {
-            Some(false) => self.limits.payload_limit,
-            Some(true) | None => self.limits.payload_limit_lossless,
-        };
-        if self.declared.max(self.bytes.len() as u64) > limit.0 {
-            return Err(too_large(limit, self.limits));
-        }
-        Ok(())
+        self.check(is_lossless(&self.bytes).unwrap_or(true))
     }
 
-    fn finish(self) -> Bytes {
-        self.bytes.freeze()
+    fn check(&self, lossless: bool) -> Result<(), ServerError> {
+        let limit = match lossless {
+            true => self.limits.payload_limit_lossless,
+            false => self.limits.payload_limit,
+        };
+        match self.declared.max(self.bytes.len() as u64) > limit.0 {
+            true => Err(too_large(limit, self.limits)),
+            false => Ok(()),
+        }
+    }
+
+    /// Returns all audio. A file that ends before it names its format is not lossless.
+    fn finish(self) -> Result<Bytes, ServerError> {
+        self.check(is_lossless(&self.bytes).unwrap_or(false))?;
+        Ok(self.bytes.freeze())
     }
 }
 
@@ -210,13 +219,14 @@ fn body_error(error: &BodyError, limits: &Limits) -> ServerError {
         },
         BodyError::FormOverhead => ServerError::Multipart(format!(
             "the form holds more than {} beside what its parts carry",
-            ByteSize(form::OVERHEAD)
+            ByteSize(FORM_OVERHEAD)
         )),
         BodyError::Broken(_) => ServerError::UploadBroken,
     }
 }
 
-/// Errors of the body travel through the form's parser: they are found again along the sources.
+/// Explains an error of the form's parser. Errors of the body pass through the parser, and are
+/// found again among its sources.
 fn form_error(error: &axum::extract::multipart::MultipartError, limits: &Limits) -> ServerError {
     let mut source: Option<&(dyn std::error::Error + 'static)> = Some(error);
     while let Some(error) = source {

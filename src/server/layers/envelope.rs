@@ -1,4 +1,4 @@
-//! What every request and answer wears: an id, a trace, a total time, one error shape.
+//! The layers around every route: request id, trace, metrics, error shape, panics.
 
 use std::{
     any::Any,
@@ -22,20 +22,20 @@ use tower_http::{
 };
 use tracing::Span;
 
-use super::{
+use crate::server::{
     error::{Report, ServerError, write_body},
+    metrics::SharedMetrics,
     options::shorten,
-    state::SharedState,
 };
 
 pub(crate) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 const TOTAL_TIME: HeaderName = HeaderName::from_static("x-total-time");
 const LONGEST_REQUEST_ID: usize = 128;
 
-/// Puts `router` into its layers, outermost first: id, trace, error shape, time and count, panics.
-pub(crate) fn wrap(router: Router, state: &SharedState) -> Router {
-    let state = Arc::clone(state);
-    // Around each route, so that its pattern is known; and the same around what has none.
+/// Wraps `router`, outermost first: id, trace, error shape with time and count, panics.
+pub(crate) fn wrap(router: Router, metrics: SharedMetrics) -> Router {
+    let panics = Arc::clone(&metrics);
+    // Around each route, so that its pattern is known, and around the fallback.
     router.layer(
         ServiceBuilder::new()
             .map_request(drop_odd_request_id)
@@ -50,12 +50,17 @@ pub(crate) fn wrap(router: Router, state: &SharedState) -> Router {
                     .on_eos(())
                     .on_failure(()),
             )
-            .layer(middleware::from_fn_with_state(state, finish))
-            .layer(CatchPanicLayer::custom(answer_panic)),
+            .layer(middleware::from_fn_with_state(metrics, finish))
+            .layer(CatchPanicLayer::custom(
+                move |panic: Box<dyn Any + Send>| {
+                    panics.panicked("handler");
+                    answer_panic(panic.as_ref())
+                },
+            )),
     )
 }
 
-/// An id that came with the request is taken over if it cannot hurt a log line.
+/// Keeps an id that came with the request only if it cannot harm a log line.
 fn drop_odd_request_id(mut request: Request) -> Request {
     let sane = |id: &HeaderValue| {
         let id = id.as_bytes();
@@ -82,7 +87,7 @@ pub(crate) fn request_id(request: &Request) -> &str {
         .unwrap_or_default()
 }
 
-/// The path without its query: options may grow secrets one day, and logs are no place for them.
+/// Names the path without its query: options may hold secrets one day, which no log may show.
 fn request_span(request: &Request) -> Span {
     tracing::info_span!(
         "request",
@@ -100,7 +105,11 @@ fn log_response<B>(response: &Response<B>, latency: Duration, _span: &Span) {
     );
 }
 
-async fn finish(State(state): State<SharedState>, request: Request, next: Next) -> Response<Body> {
+async fn finish(
+    State(metrics): State<SharedMetrics>,
+    request: Request,
+    next: Next,
+) -> Response<Body> {
     let started = Instant::now();
     let id = request_id(&request).to_owned();
     let method = method_name(request.method());
@@ -111,13 +120,11 @@ async fn finish(State(state): State<SharedState>, request: Request, next: Next) 
         .to_owned();
     let mut response = next.run(request).await;
     let status = response.status().as_u16();
-    state
-        .metrics
-        .answered(&route, method, status, started.elapsed());
+    metrics.answered(&route, method, status, started.elapsed());
     if let Some(report) = response.extensions().get::<Report>()
         && !report.repeated
     {
-        state.metrics.rejected(report.error_type);
+        metrics.rejected(report.error_type);
     }
     if response.status().is_client_error() || response.status().is_server_error() {
         response = write_body(response, &id);
@@ -127,7 +134,7 @@ async fn finish(State(state): State<SharedState>, request: Request, next: Next) 
     response
 }
 
-/// Methods that we know; anybody can make others up.
+/// Names the methods of ours: callers can make others up.
 fn method_name(method: &Method) -> &'static str {
     match *method {
         Method::GET => "GET",
@@ -139,11 +146,11 @@ fn method_name(method: &Method) -> &'static str {
     }
 }
 
-fn answer_panic(panic: Box<dyn Any + Send>) -> Response<Body> {
-    ServerError::Internal(format!("panic: {}", panic_text(panic.as_ref()))).into_response()
+fn answer_panic(panic: &(dyn Any + Send)) -> Response<Body> {
+    ServerError::Internal(format!("panic: {}", panic_text(panic))).into_response()
 }
 
-/// The message of a panic, as far as it has one.
+/// Returns the message of a panic, as far as it has one.
 pub(crate) fn panic_text(panic: &(dyn Any + Send)) -> &str {
     panic
         .downcast_ref::<&str>()
@@ -152,14 +159,38 @@ pub(crate) fn panic_text(panic: &(dyn Any + Send)) -> &str {
         .unwrap_or("without a message")
 }
 
-/// Milliseconds, to the microsecond, as the JSON of a dance has them.
+/// Returns milliseconds, to the microsecond, as the JSON result has them.
 pub(crate) fn milliseconds(time: Duration) -> f64 {
     time.as_micros() as f64 / 1e3
 }
 
-/// A time as the value of an `x-..-time` header.
+/// Returns a time as the value of an `x-..-time` header.
 pub(crate) fn time_header(time: Duration) -> HeaderValue {
     // The text of a finite number is always a legal header value.
     HeaderValue::from_str(&milliseconds(time).to_string())
         .unwrap_or_else(|_| HeaderValue::from_static("0"))
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::{http::StatusCode, routing::get};
+    use tower::ServiceExt;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn panics_of_handlers_are_counted() {
+        async fn broken() -> &'static str {
+            panic!("a panic that the test wants")
+        }
+        let metrics = SharedMetrics::default();
+        let app = wrap(Router::new().route("/", get(broken)), Arc::clone(&metrics));
+        let answer = app.oneshot(Request::new(Body::empty())).await.unwrap();
+        assert_eq!(answer.status(), StatusCode::INTERNAL_SERVER_ERROR);
+        let text = metrics.text().unwrap();
+        assert!(
+            text.contains("bailando_panics_total{place=\"handler\"} 1"),
+            "{text}"
+        );
+    }
 }

@@ -1,8 +1,10 @@
-//! What is counted, in the form that Prometheus reads.
+//! Counters, gauges and histograms, in the format that Prometheus reads.
+
+mod process;
 
 use std::{
     fmt,
-    sync::{Arc, OnceLock},
+    sync::{Arc, OnceLock, atomic::AtomicU64},
     time::Duration,
 };
 
@@ -18,135 +20,117 @@ use prometheus_client::{
     registry::{Registry, Unit},
 };
 
-use super::process::ProcessCollector;
+use self::process::ProcessCollector;
 use crate::{engine::Observer, formats::Timings};
 
-/// One label of a value that is known beforehand; one, and three, of any.
+/// One label with a value of ours; one, and three, with any value.
 type One = [(&'static str, &'static str); 1];
 type Any = [(&'static str, String); 1];
 type Three = [(&'static str, String); 3];
 
 type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
 
-/// All metrics of one server.
-pub struct Metrics {
-    registry: Registry,
-    model: OnceLock<String>,
-    requests: Family<Three, Counter>,
-    request_duration: Histograms<Any>,
-    queue_wait: Histogram,
-    batch_rows: Histogram,
-    step_duration: Histogram,
-    stage_duration: Histograms<One>,
-    audio_seconds: Counter<f64, std::sync::atomic::AtomicU64>,
-    codes: Counter,
-    dances: Family<One, Counter>,
-    cancelled: Family<One, Counter>,
-    cancel_latency: Histogram,
-    rejected: Family<One, Counter>,
-    panics: Family<One, Counter>,
-    failed_steps: Counter,
-    /// Requests that wait for their turn.
-    pub(crate) queue_waiting: Gauge,
-    /// Requests that are worked on.
-    pub(crate) running: Gauge,
-    /// Open connections.
-    pub(crate) connections: Gauge,
-    /// Bodies on their way.
-    pub(crate) uploads: Gauge,
-    /// Bytes of uploads that are held.
-    pub(crate) upload_bytes: Gauge,
-    /// Seconds of audio that are worked on.
-    pub(crate) audio_in_flight: Gauge,
-    jobs: Family<One, Gauge>,
+/// Defines all metrics: visibility, field, type and first value, name, unit if any, and help. A
+/// unit is appended to the name.
+macro_rules! metrics {
+    ($(
+        $visibility:vis $field:ident: $type:ty = $value:expr,
+            $name:literal $(in $unit:ident)?, $help:literal;
+    )+) => {
+        /// All metrics of one server.
+        pub struct Metrics {
+            registry: Registry,
+            model: OnceLock<String>,
+            $(#[doc = $help] $visibility $field: $type,)+
+        }
+
+        impl Default for Metrics {
+            fn default() -> Self {
+                let mut registry = Registry::default();
+                registry.register_collector(Box::new(ProcessCollector::default()));
+                let ours = registry.sub_registry_with_prefix("bailando");
+                $(
+                    let $field: $type = $value;
+                    metrics!(register ours $field $name $help $($unit)?);
+                )+
+                Self {
+                    registry,
+                    model: OnceLock::new(),
+                    $($field,)+
+                }
+            }
+        }
+    };
+    (register $ours:ident $field:ident $name:literal $help:literal) => {
+        $ours.register($name, $help, $field.clone());
+    };
+    (register $ours:ident $field:ident $name:literal $help:literal $unit:ident) => {
+        $ours.register_with_unit($name, $help, Unit::$unit, $field.clone());
+    };
 }
 
-impl Default for Metrics {
-    fn default() -> Self {
-        let long = || Histogram::new(exponential_buckets(0.005, 2.0, 16));
-        let short = || Histogram::new(exponential_buckets(0.000_5, 2.0, 14));
-        let mut metrics = Self {
-            registry: Registry::default(),
-            model: OnceLock::new(),
-            requests: Family::default(),
-            request_duration: Family::new_with_constructor(long as fn() -> Histogram),
-            queue_wait: long(),
-            batch_rows: Histogram::new([1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0]),
-            step_duration: short(),
-            stage_duration: Family::new_with_constructor(long as fn() -> Histogram),
-            audio_seconds: Counter::default(),
-            codes: Counter::default(),
-            dances: Family::default(),
-            cancelled: Family::default(),
-            cancel_latency: short(),
-            rejected: Family::default(),
-            panics: Family::default(),
-            failed_steps: Counter::default(),
-            queue_waiting: Gauge::default(),
-            running: Gauge::default(),
-            connections: Gauge::default(),
-            uploads: Gauge::default(),
-            upload_bytes: Gauge::default(),
-            audio_in_flight: Gauge::default(),
-            jobs: Family::default(),
-        };
-        metrics.register();
-        metrics
-    }
+metrics! {
+    requests: Family<Three, Counter> = Family::default(),
+        "http_requests", "Requests answered";
+    pub(crate) queue_waiting: Gauge = Gauge::default(),
+        "queue_waiting", "Requests that wait for a worker";
+    pub(crate) running: Gauge = Gauge::default(),
+        "requests_running", "Requests that are being processed";
+    batch_rows: Histogram
+        = Histogram::new([1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0]),
+        "batch_rows", "Sequences that share a step of the model, candidates counted";
+    codes: Counter = Counter::default(),
+        "codes", "Pairs of pose codes generated";
+    dances: Family<One, Counter> = Family::default(),
+        "dances", "Generations completed";
+    cancelled: Family<One, Counter> = Family::default(),
+        "cancelled", "Requests whose client disconnected, whose time was over, or whose job was \
+        deleted, by phase";
+    rejected: Family<One, Counter> = Family::default(),
+        "rejected", "Requests refused, by reason";
+    panics: Family<One, Counter> = Family::default(),
+        "panics", "Panics caught, by place";
+    failed_steps: Counter = Counter::default(),
+        "failed_steps", "Steps of the model that failed for all sequences that shared them";
+    pub(crate) connections: Gauge = Gauge::default(),
+        "connections", "Open connections";
+    pub(crate) uploads: Gauge = Gauge::default(),
+        "uploads", "Bodies in transfer";
+    jobs: Family<One, Gauge> = Family::default(),
+        "jobs", "Jobs kept, by state";
+    pub(crate) upload_bytes: Gauge = Gauge::default(),
+        "upload" in Bytes, "Bytes of uploads held until they are decoded";
+    request_duration: Histograms<Any> = Family::new_with_constructor(long),
+        "http_request_duration" in Seconds, "From the head of a request to that of its response";
+    queue_wait: Histogram = long(),
+        "queue_wait" in Seconds, "Waiting for a worker";
+    step_duration: Histogram = short(),
+        "step_duration" in Seconds, "One step of the model for a whole batch";
+    stage_duration: Histograms<One> = Family::new_with_constructor(long),
+        "stage_duration" in Seconds, "Stages of a generation";
+    audio_seconds: Counter<f64, AtomicU64> = Counter::default(),
+        "audio" in Seconds, "Audio decoded for generations";
+    cancel_latency: Histogram = short(),
+        "cancel_latency" in Seconds, "From the disconnection of a client to the end of its work";
+    pub(crate) audio_in_flight: Gauge = Gauge::default(),
+        "audio_seconds_in_flight", "Audio that is being processed";
+}
+
+fn long() -> Histogram {
+    Histogram::new(exponential_buckets(0.005, 2.0, 16))
+}
+
+fn short() -> Histogram {
+    Histogram::new(exponential_buckets(0.000_5, 2.0, 14))
 }
 
 impl Metrics {
-    fn register(&mut self) {
-        let registry = &mut self.registry;
-        registry.register_collector(Box::new(ProcessCollector));
-        let ours = registry.sub_registry_with_prefix("bailando");
-        macro_rules! register {
-            ($($name:literal, $help:literal, $metric:ident;)*) => {
-                $(ours.register($name, $help, self.$metric.clone());)*
-            };
-            (in $unit:expr; $($name:literal, $help:literal, $metric:ident;)*) => {
-                $(ours.register_with_unit($name, $help, $unit, self.$metric.clone());)*
-            };
-        }
-        register! {
-            "http_requests", "Requests answered", requests;
-            "queue_waiting", "Requests that wait for their turn", queue_waiting;
-            "requests_running", "Requests that are worked on", running;
-            "batch_rows", "Dances that share a step of the model, candidates counted", batch_rows;
-            "codes", "Pairs of pose codes generated", codes;
-            "dances", "Dances made", dances;
-            "cancelled", "Requests whose client left, whose time was over, or whose job was deleted, by phase", cancelled;
-            "rejected", "Requests refused, by reason", rejected;
-            "panics", "Panics caught, by place", panics;
-            "failed_steps", "Steps of the model that failed for all dances that shared them", failed_steps;
-            "connections", "Open connections", connections;
-            "uploads", "Bodies on their way", uploads;
-            "jobs", "Jobs kept, by state", jobs;
-        }
-        register! { in Unit::Bytes;
-            "upload", "Bytes of uploads held until they are decoded", upload_bytes;
-        }
-        register! { in Unit::Seconds;
-            "http_request_duration", "From a request's head to its answer's head", request_duration;
-            "queue_wait", "Waiting for a turn", queue_wait;
-            "step_duration", "One step of the model for a whole batch", step_duration;
-            "stage_duration", "Stages of a dance", stage_duration;
-            "audio", "Audio that was danced to", audio_seconds;
-            "cancel_latency", "From a client's leaving to the end of its work", cancel_latency;
-        }
-        ours.register(
-            "audio_seconds_in_flight",
-            "Audio that is worked on",
-            self.audio_in_flight.clone(),
-        );
-    }
-
     /// Names the model in `bailando_build_info`.
     pub(crate) fn loaded(&self, model: &str) {
         self.model.get_or_init(|| model.to_owned());
     }
 
-    /// The text that a scrape is answered with.
+    /// Returns the text of a scrape.
     pub(crate) fn text(&self) -> Result<String, fmt::Error> {
         let mut text = String::new();
         let mut info = Registry::with_prefix("bailando");
@@ -184,7 +168,7 @@ impl Metrics {
         self.audio_seconds.inc_by(seconds);
     }
 
-    /// A dance of `kind` with so many codes.
+    /// Counts a generation of `kind` with so many codes.
     pub(crate) fn danced(&self, kind: &'static str, codes: usize, timings: &Timings) {
         self.dances.get_or_create(&[("kind", kind)]).inc();
         self.codes.inc_by(codes as u64);
@@ -195,7 +179,7 @@ impl Metrics {
         ] {
             self.stage(stage, time);
         }
-        // A stream's is known at its end.
+        // That of a stream is known at its end.
         if kind != "stream" {
             self.stage("motion", timings.motion);
         }
@@ -268,7 +252,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_those_that_are_documented() {
+    fn names_are_the_documented_ones() {
         let metrics = Metrics::default();
         metrics.loaded("tiny");
         metrics.answered("/generate", "POST", 200, Duration::from_millis(3));
@@ -278,7 +262,6 @@ mod tests {
         Metrics::panicked(&metrics, "decode");
         metrics.heard(2.5);
         metrics.stepped(3, Duration::from_millis(1));
-        metrics.step_failed();
         let _job = metrics.job("running");
         let text = metrics.text().unwrap();
         for line in [
@@ -298,7 +281,6 @@ mod tests {
             "bailando_cancel_latency_seconds_count 1",
             "bailando_rejected_total{reason=\"queue_full\"} 1",
             "bailando_panics_total{place=\"decode\"} 1",
-            "bailando_failed_steps_total 1",
             "bailando_connections 0",
             "bailando_uploads 0",
             "bailando_upload_bytes 0",

@@ -1,15 +1,17 @@
-//! Which format to answer in, from the Accept header.
+//! The format of a response, from the Accept header.
 
 use axum::http::{HeaderMap, header};
 
-use super::{error::ServerError, options::shorten};
-use crate::formats::OutputFormat;
+use crate::{
+    formats::OutputFormat,
+    server::{error::ServerError, options::shorten},
+};
 
-/// How an answer is written.
+/// How a response is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Shape {
     pub(crate) format: OutputFormat,
-    /// A stream as lines of JSON, not as server-sent events.
+    /// Whether a stream is written as lines of JSON, not as server-sent events.
     pub(crate) lines: bool,
 }
 
@@ -18,8 +20,8 @@ pub(crate) const EVENTS: &str = "text/event-stream";
 /// Media type of JSON in lines.
 pub(crate) const LINES: &str = "application/x-ndjson";
 
-/// The format that an `Accept` header prefers (RFC 9110, section 12.5.1); `otherwise` when it has no
-/// preference.
+/// Returns the format that an `Accept` header prefers (RFC 9110, section 12.5.1), or `otherwise`
+/// where it has no preference.
 ///
 /// # Errors
 /// [`ServerError::NotAcceptable`] when none of ours is accepted.
@@ -33,7 +35,7 @@ pub(crate) fn dance(
     Ok(ours.get(best).copied().unwrap_or(otherwise))
 }
 
-/// Whether the `Accept` header prefers lines of JSON to server-sent events.
+/// Returns whether the `Accept` header prefers lines of JSON to server-sent events.
 ///
 /// # Errors
 /// [`ServerError::NotAcceptable`] when it accepts neither.
@@ -41,7 +43,7 @@ pub(crate) fn events_as_lines(headers: &HeaderMap) -> Result<bool, ServerError> 
     Ok(preferred(headers, &[EVENTS, LINES])? == 1)
 }
 
-/// Which of `ours` an `Accept` header prefers; the first when it has no preference.
+/// Returns the index in `ours` that an `Accept` header prefers; 0 where it has no preference.
 fn preferred(headers: &HeaderMap, ours: &[&str]) -> Result<usize, ServerError> {
     let ranges: Vec<Range> = headers
         .get_all(header::ACCEPT)
@@ -91,7 +93,7 @@ impl Range {
         Some(Self { kind, quality })
     }
 
-    /// How closely the range names `content_type`; none if it does not cover it.
+    /// Returns how closely the range names `content_type`; none if it does not cover it.
     fn specificity(&self, content_type: &str) -> Option<u8> {
         if self.kind == content_type {
             Some(2)
@@ -104,7 +106,7 @@ impl Range {
     }
 }
 
-/// The quality that the most specific range covering `content_type` gives it.
+/// Returns the quality of `content_type` in the most specific range that covers it.
 fn quality(ranges: &[Range], content_type: &str) -> f32 {
     ranges
         .iter()

@@ -1,11 +1,11 @@
-//! Whether the server takes requests, drains, or gives up on what is left.
+//! Whether the server accepts requests, drains, or gives up on the remaining ones.
 
 use tokio_util::{
     sync::CancellationToken,
     task::{TaskTracker, task_tracker::TaskTrackerToken},
 };
 
-/// Counts the requests under way and tells them when the end has come.
+/// Counts the requests in progress and tells them to stop.
 #[derive(Debug, Default)]
 pub(crate) struct Lifecycle {
     draining: CancellationToken,
@@ -21,7 +21,7 @@ impl Lifecycle {
         (!self.is_draining()).then_some(token)
     }
 
-    /// Registers what belongs to a request that was accepted before, also while draining.
+    /// Registers work that belongs to a request of earlier, also while draining.
     pub(crate) fn go_on(&self) -> TaskTrackerToken {
         self.requests.token()
     }
@@ -30,7 +30,7 @@ impl Lifecycle {
         self.draining.is_cancelled()
     }
 
-    /// From now on no request enters.
+    /// Lets no more requests enter.
     pub(crate) fn drain(&self) {
         self.draining.cancel();
         self.requests.close();
@@ -41,12 +41,12 @@ impl Lifecycle {
         self.draining.cancelled().await;
     }
 
-    /// Waits, once draining, until no request is under way.
+    /// Waits, once draining, until no request is in progress.
     pub(crate) async fn idle(&self) {
         self.requests.wait().await;
     }
 
-    /// Requests under way.
+    /// Number of requests in progress.
     pub(crate) fn under_way(&self) -> usize {
         self.requests.len()
     }

@@ -1,0 +1,293 @@
+//! The options of a generation: one list that the query, the form, the command line, `GET /info`
+//! and the OpenAPI document are all made of.
+
+mod accepts;
+mod args;
+mod table;
+
+pub use self::table::RequestOptions;
+pub(crate) use self::table::{OPTIONS, OptionSpec, Section};
+use crate::{
+    audio::AudioRange,
+    engine::GenerationOptions,
+    formats::{BvhUnit, FormatError, GeneratedMotion, JsonOptions, OutputFormat},
+};
+
+/// Longest option value that is read, in bytes.
+pub(crate) const LONGEST_VALUE: usize = 256;
+/// Formats of later versions.
+const FORMATS_NOT_YET: [&str; 1] = ["glb"];
+
+/// An option that is not accepted.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("option `{name}`: {problem}")]
+pub struct OptionError {
+    /// The option, as far as it was named.
+    pub name: String,
+    /// What was wrong and what is accepted.
+    pub problem: String,
+}
+
+impl OptionSpec {
+    /// Returns whether the option only says how a result is written.
+    pub(crate) fn is_output(&self) -> bool {
+        matches!(self.section, Section::Output | Section::HttpOutput)
+    }
+
+    /// Checks a value.
+    ///
+    /// # Errors
+    /// What was wrong and what is accepted.
+    fn check(&self, text: &str) -> Result<(), String> {
+        if self.name == "format" && FORMATS_NOT_YET.contains(&text) {
+            return Err(format!(
+                "{text} is not available yet in this version, expected {}",
+                self.accepts
+            ));
+        }
+        match text.len() <= LONGEST_VALUE && self.accepts.admits(text) {
+            true => Ok(()),
+            false => Err(format!(
+                "got {:?}, expected {}",
+                shorten(text),
+                self.accepts
+            )),
+        }
+    }
+}
+
+impl RequestOptions {
+    /// Sets one option.
+    ///
+    /// # Errors
+    /// [`OptionError`] names the option and what is accepted.
+    pub(crate) fn set(&mut self, name: &str, text: &str) -> Result<(), OptionError> {
+        let refuse = |problem: String| {
+            Err(OptionError {
+                name: shorten(name),
+                problem,
+            })
+        };
+        let Some(option) = OPTIONS.iter().find(|option| option.name == name) else {
+            let all = names(OPTIONS.iter());
+            return refuse(format!("there is no such option; there are {all}"));
+        };
+        if self.given.contains(&option.name) {
+            return refuse("it was given more than once".to_owned());
+        }
+        self.given.push(option.name);
+        match option.check(text) {
+            Ok(()) if (option.read)(self, text) => Ok(()),
+            Ok(()) => refuse(format!("got {text:?}, expected {}", option.accepts)),
+            Err(problem) => refuse(problem),
+        }
+    }
+
+    /// How JSON is written.
+    #[must_use]
+    pub fn json(&self) -> JsonOptions {
+        JsonOptions {
+            rotations: self.include.is_some(),
+            encoding: self.encoding.unwrap_or_default(),
+        }
+    }
+
+    /// Returns the unit of lengths in BVH.
+    #[must_use]
+    pub fn bvh_unit(&self) -> BvhUnit {
+        self.bvh_unit.unwrap_or_default()
+    }
+
+    /// The longest part of a song in seconds that these options ask for, if they say.
+    pub(crate) fn longest_seconds(&self) -> Option<f64> {
+        self.duration_s
+    }
+
+    /// These options, with the output options of `other` in the place of their own.
+    ///
+    /// # Errors
+    /// [`OptionError`] if `other` asks for another motion.
+    pub(crate) fn written_as(&self, other: &Self) -> Result<Self, OptionError> {
+        let outputs = || OPTIONS.iter().filter(|option| option.is_output());
+        let is_output = |name: &str| outputs().any(|output| output.name == name);
+        if let Some(name) = other.given.iter().find(|name| !is_output(name)) {
+            let outputs = names(outputs());
+            return Err(OptionError {
+                name: (*name).to_owned(),
+                problem: format!("the motion exists already; what can be chosen now is {outputs}"),
+            });
+        }
+        Ok(Self {
+            format: other.format.or(self.format),
+            include: other.include.or(self.include),
+            encoding: other.encoding.or(self.encoding),
+            bvh_unit: other.bvh_unit.or(self.bvh_unit),
+            ..self.clone()
+        })
+    }
+
+    /// Writes `dance` in `format`.
+    ///
+    /// # Errors
+    /// As [`OutputFormat::write`].
+    pub(crate) fn write(
+        &self,
+        dance: &GeneratedMotion,
+        format: OutputFormat,
+    ) -> Result<Vec<u8>, FormatError> {
+        format.write(dance, &self.json(), self.bvh_unit())
+    }
+
+    /// The engine's part of the options, for a result in `format`.
+    #[must_use]
+    pub fn generation(&self, format: OutputFormat) -> GenerationOptions {
+        let sampling = self.sampling();
+        GenerationOptions {
+            range: AudioRange {
+                offset_s: self.offset_s.unwrap_or_default(),
+                duration_s: self.duration_s,
+            },
+            fps: self.fps.unwrap_or(sampling.fps),
+            root_motion: self.root_motion.unwrap_or(sampling.root_motion),
+            music: self.music.unwrap_or(format == OutputFormat::Json),
+            ..sampling
+        }
+    }
+}
+
+fn names<'a>(options: impl Iterator<Item = &'a OptionSpec>) -> String {
+    let names: Vec<&str> = options.map(|option| option.name).collect();
+    names.join(", ")
+}
+
+/// A caller's text, short enough to be repeated in an answer.
+pub(crate) fn shorten(text: &str) -> String {
+    const SHOWN: usize = 60;
+    match text.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{}..", text.get(..end).unwrap_or_default()),
+        None => text.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        engine::MAX_SEED,
+        formats::{Codes, Continuation, Encoding},
+        model::WindowKind,
+    };
+
+    fn query(text: &str) -> Result<RequestOptions, String> {
+        let mut options = RequestOptions::default();
+        for pair in text.split('&').filter(|pair| !pair.is_empty()) {
+            let (name, value) = pair.split_once('=').unwrap();
+            options
+                .set(name, value)
+                .map_err(|error| error.to_string())?;
+        }
+        Ok(options)
+    }
+
+    #[test]
+    fn every_option_is_read() {
+        let options = query(
+            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5\
+             &candidates=3&redo=false&start_upper=1&start_lower=2\
+             &continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA&window=sliding&hop=15&offset_s=1.5\
+             &duration_s=2e1&root_motion=false\
+             &music=true&include=rotations&encoding=base64&bvh_unit=m",
+        )
+        .unwrap();
+        let (upper, lower) = (vec![1], vec![2]);
+        let tail = Continuation::new("01234567", Codes { upper, lower }, [0.0; 2], 0.75);
+        assert_eq!(options.given.len(), OPTIONS.len());
+        assert_eq!(options.format, Some(OutputFormat::Bvh));
+        assert_eq!(options.encoding, Some(Encoding::Base64));
+        assert_eq!(options.bvh_unit, Some(BvhUnit::Metre));
+        assert!(options.json().rotations);
+        assert_eq!(
+            options.generation(OutputFormat::Bvh),
+            GenerationOptions {
+                seed: Some(MAX_SEED),
+                temperature: Some(0.5),
+                top_k: Some(7),
+                guidance: Some(2.5),
+                candidates: Some(3),
+                redo: Some(false),
+                start_upper: Some(1),
+                start_lower: Some(2),
+                continue_from: Some(tail),
+                window: Some(WindowKind::Sliding),
+                hop: Some(15),
+                range: AudioRange {
+                    offset_s: 1.5,
+                    duration_s: Some(20.0),
+                },
+                fps: 24,
+                root_motion: false,
+                music: true,
+            }
+        );
+    }
+
+    #[test]
+    fn music_is_found_for_json_and_not_for_bvh() {
+        let options = query("").unwrap();
+        assert!(options.generation(OutputFormat::Json).music);
+        assert!(!options.generation(OutputFormat::Bvh).music);
+        let options = query("music=false").unwrap();
+        assert!(!options.generation(OutputFormat::Json).music);
+    }
+
+    #[test]
+    fn a_wrong_option_is_refused_with_what_is_accepted() {
+        let long = format!("seed={}", "1".repeat(10_000));
+        for (text, wanted) in [
+            (
+                "fps=25",
+                "option `fps`: got \"25\", expected one of 20, 24, 30, 60",
+            ),
+            (
+                "seed=-1",
+                "expected a whole number from 0 to 9007199254740991",
+            ),
+            ("seed=9007199254740992", "option `seed`"),
+            ("seed=", "option `seed`: got \"\""),
+            ("temperature=warm", "expected a number from 0 to 10"),
+            ("offset_s=-1", "expected a number, 0 or more"),
+            ("temperature=NaN", "option `temperature`"),
+            ("temperature=1e300", "option `temperature`"),
+            ("temperature=-0.1", "option `temperature`"),
+            ("guidance=11", "option `guidance`"),
+            (
+                "candidates=17",
+                "`candidates`: got \"17\", expected a whole number from 1 to 16",
+            ),
+            ("top_k=0", "expected a whole number from 1 to"),
+            ("start_upper=4294967296", "option `start_upper`"),
+            ("duration_s=0", "expected a number above 0"),
+            ("duration_s=inf", "option `duration_s`"),
+            ("root_motion=maybe", "expected true or false"),
+            ("include=everything", "expected rotations"),
+            (
+                "seed=1&seed=1",
+                "option `seed`: it was given more than once",
+            ),
+            (
+                "sede=1",
+                "there is no such option; there are seed, temperature, top_k,",
+            ),
+            (
+                "continue_from=x",
+                "expected the `tail` that came with an earlier dance",
+            ),
+            ("format=glb", "glb is not available yet in this version"),
+            ("format=mp4", "expected one of json, bvh"),
+            (&long, "1.."),
+        ] {
+            let problem = query(text).unwrap_err();
+            assert!(problem.contains(wanted), "{text}: {problem}");
+        }
+    }
+}

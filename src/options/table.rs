@@ -1,0 +1,177 @@
+//! The one list of all options: the query, the form, the command line, `GET /info` and the OpenAPI
+//! document are all made of it.
+
+use super::accepts::Accepts;
+use crate::{
+    engine::{GenerationOptions, MAX_CANDIDATES, MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
+    formats::{BvhUnit, Continuation, Encoding, OutputFormat},
+    model::WindowKind,
+    motion::FRAME_RATES,
+};
+
+/// What an option is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Section {
+    /// How pose codes are drawn.
+    Sampling,
+    /// Which part of the song, and what is made of the codes.
+    Song,
+    /// How the result is written; can still be chosen when it is fetched.
+    Output,
+    /// As [`Section::Output`], with a flag of another form on the command line.
+    HttpOutput,
+}
+
+/// One option: its name, what it does, what it accepts, and where it goes.
+#[derive(Clone, Copy)]
+pub(crate) struct OptionSpec {
+    pub(crate) name: &'static str,
+    pub(crate) section: Section,
+    pub(crate) accepts: Accepts,
+    pub(crate) default: &'static str,
+    pub(crate) about: &'static str,
+    /// Takes a text that `accepts` admits; false if it does not fit the field after all.
+    pub(super) read: fn(&mut RequestOptions, &str) -> bool,
+}
+
+/// A value that is read from the text of an option.
+trait FromText: Sized {
+    fn from_text(text: &str) -> Option<Self>;
+}
+
+macro_rules! from_text {
+    ($($type:ty)+) => {
+        $(impl FromText for $type {
+            fn from_text(text: &str) -> Option<Self> {
+                text.parse().ok()
+            }
+        })+
+    };
+}
+
+from_text! { bool f32 f64 u32 u64 usize BvhUnit Encoding OutputFormat Continuation }
+
+impl FromText for WindowKind {
+    fn from_text(text: &str) -> Option<Self> {
+        match text {
+            "hop" => Some(Self::Hop),
+            "sliding" => Some(Self::Sliding),
+            _ => None,
+        }
+    }
+}
+
+/// What the JSON carries beside positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Include {
+    Rotations,
+}
+
+impl FromText for Include {
+    fn from_text(text: &str) -> Option<Self> {
+        (text == "rotations").then_some(Self::Rotations)
+    }
+}
+
+macro_rules! options {
+    (
+        Sampling { $($sampling:ident: $sampling_type:ty, $($sampling_spec:expr),+;)+ }
+        $($section:ident { $($name:ident: $type:ty, $($spec:expr),+;)+ })+
+    ) => {
+        /// What a request asks for. `None` takes the default, which is the model's own where it has
+        /// one.
+        #[derive(Clone, Debug, Default, PartialEq)]
+        pub struct RequestOptions {
+            $(pub(crate) $sampling: Option<$sampling_type>,)+
+            $($(pub(crate) $name: Option<$type>,)+)+
+            /// Names of the options that were given.
+            pub(super) given: Vec<&'static str>,
+        }
+
+        /// All options, in the order in which they are shown.
+        pub(crate) const OPTIONS: &[OptionSpec] = &[
+            $(options!(spec Sampling $sampling $($sampling_spec),+),)+
+            $($(options!(spec $section $name $($spec),+),)+)+
+        ];
+
+        impl RequestOptions {
+            /// The options that the engine takes as they are; the others have their defaults.
+            pub(super) fn sampling(&self) -> GenerationOptions {
+                GenerationOptions {
+                    $($sampling: self.$sampling.clone(),)+
+                    ..GenerationOptions::default()
+                }
+            }
+        }
+    };
+    (spec $section:ident $name:ident $accepts:expr, $default:expr, $about:expr) => {
+        OptionSpec {
+            name: stringify!($name),
+            section: Section::$section,
+            accepts: $accepts,
+            default: $default,
+            about: $about,
+            read: |options, text| {
+                options.$name = FromText::from_text(text);
+                options.$name.is_some()
+            },
+        }
+    };
+}
+
+const MODEL: &str = "the model's";
+const ANY_CODE: Accepts = Accepts::Integer(0, u32::MAX as u64);
+const ANY_COUNT: Accepts = Accepts::Integer(1, u32::MAX as u64);
+
+options! {
+    Sampling {
+        seed: u64, Accepts::Integer(0, MAX_SEED), "drawn",
+            "Seed of everything that is drawn; always returned. The same seed and song give the \
+             same motion.";
+        temperature: f32, Accepts::Number(MAX_TEMPERATURE as f64), MODEL,
+            "0 takes the most likely pose code, as in the paper; higher values vary more.";
+        top_k: usize, ANY_COUNT, MODEL, "Draw from this many most likely pose codes only.";
+        guidance: f32, Accepts::Number(MAX_GUIDANCE as f64), MODEL,
+            "How strongly the motion follows the music's beat: 1 as the model says, more \
+             exaggerates it, less weakens it; any value but 1 doubles the cost.";
+        candidates: usize, Accepts::Integer(1, MAX_CANDIDATES as u64), MODEL,
+            "Candidates for every two to four seconds of motion. The one with the beats nearest to \
+             the music's and the fewest frozen frames is kept; the cost grows with their number.";
+        redo: bool, Accepts::Boolean, "the model's; true with several candidates",
+            "Regenerate two to four seconds of motion in which the dancer freezes (with several \
+             candidates also: goes to the ground), up to three times and with at most 12 \
+             candidates in all.";
+        start_upper: u32, ANY_CODE, "drawn", "First pose code of the upper body.";
+        start_lower: u32, ANY_CODE, "drawn", "First pose code of the lower body.";
+        continue_from: Continuation, Accepts::Tail, "none",
+            "The `tail` of an earlier result of the same model: the new motion continues from its \
+             last pose, place and heading, so that clips chain. Excludes the first pose codes.";
+        window: WindowKind, Accepts::Words(&["hop", "sliding"]), MODEL,
+            "How the window of past pose codes moves: `hop` is fast, `sliding` is how the paper \
+             samples.";
+        hop: usize, ANY_COUNT, MODEL, "Pose codes kept when a hop window shrinks.";
+    }
+    Song {
+        offset_s: f64, Accepts::Number(f64::MAX), "0",
+            "Where in the song the motion starts, in seconds.";
+        duration_s: f64, Accepts::PositiveNumber, "to its end",
+            "How many seconds of the song to use.";
+        fps: u32, Accepts::IntegerOf(&FRAME_RATES), "60", "Frames per second.";
+        root_motion: bool, Accepts::Boolean, "true",
+            "Whether the dancer travels; false holds x and z of the root at 0 and keeps y.";
+        music: bool, Accepts::Boolean, "true for json, else false",
+            "Whether to find the music's tempo and beats.";
+    }
+    Output {
+        encoding: Encoding, Accepts::Words(&["json", "base64"]), "json",
+            "How the JSON carries large arrays: `json` numbers, or `base64` of little-endian \
+             float32.";
+        bvh_unit: BvhUnit, Accepts::Words(&["cm", "m"]), "cm", "Unit of lengths in BVH.";
+    }
+    HttpOutput {
+        format: OutputFormat, Accepts::Words(&["json", "bvh"]), "json",
+            "Format of the result. Wins over the Accept header.";
+        include: Include, Accepts::Words(&["rotations"]), "nothing",
+            "What else the JSON carries: `rotations` adds local rotations and the root's path.";
+    }
+}

@@ -1,0 +1,7 @@
+//! What every request passes before and after its handler.
+
+pub(crate) mod auth;
+pub(crate) mod client;
+pub(crate) mod cors;
+pub(crate) mod envelope;
+mod rate_limit;

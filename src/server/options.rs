@@ -1,0 +1,127 @@
+//! The options of a request: read from its query, shown in the OpenAPI document.
+
+use axum::{extract::Query, http::Uri};
+use utoipa::{
+    IntoParams, PartialSchema, ToSchema,
+    openapi::{
+        RefOr, Required,
+        path::{Parameter, ParameterBuilder, ParameterIn},
+        schema::{AdditionalProperties, KnownFormat, ObjectBuilder, Schema, SchemaFormat, Type},
+    },
+};
+
+use super::error::ServerError;
+pub(crate) use crate::options::{LONGEST_VALUE, RequestOptions, shorten};
+use crate::options::{OPTIONS, OptionSpec};
+
+impl RequestOptions {
+    /// Takes all options of a query string.
+    ///
+    /// # Errors
+    /// [`ServerError::Option`] names the first option that is wrong, and what is accepted.
+    pub(crate) fn from_query(uri: &Uri) -> Result<Self, ServerError> {
+        let mut options = Self::default();
+        let Query(pairs) =
+            Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|rejection| {
+                ServerError::Option {
+                    name: "query".to_owned(),
+                    problem: rejection.body_text(),
+                }
+            })?;
+        for (name, text) in pairs {
+            options.set(&name, &text)?;
+        }
+        Ok(options)
+    }
+}
+
+fn about(option: &OptionSpec) -> String {
+    format!("{} Default: {}.", option.about, option.default)
+}
+
+fn parameters(options: impl Iterator<Item = &'static OptionSpec>) -> Vec<Parameter> {
+    let parameter = |option: &OptionSpec| {
+        ParameterBuilder::new()
+            .name(option.name)
+            .parameter_in(ParameterIn::Query)
+            .required(Required::False)
+            .description(Some(about(option)))
+            .schema(Some(option.accepts.schema()))
+            .build()
+    };
+    options.map(parameter).collect()
+}
+
+impl IntoParams for RequestOptions {
+    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+        parameters(OPTIONS.iter())
+    }
+}
+
+/// The options that say how a result is written, as the OpenAPI document shows them.
+pub(crate) struct OutputOptions;
+
+impl IntoParams for OutputOptions {
+    fn into_params(_: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
+        parameters(OPTIONS.iter().filter(|option| option.is_output()))
+    }
+}
+
+/// One option, as `GET /info` shows it.
+#[derive(Clone, Debug, serde::Serialize, ToSchema)]
+pub(crate) struct OptionInfo {
+    #[schema(example = "fps")]
+    name: &'static str,
+    #[schema(example = "Frames per second.")]
+    description: &'static str,
+    #[schema(example = "one of 20, 24, 30, 60")]
+    accepts: String,
+    #[schema(example = "60")]
+    default: &'static str,
+}
+
+/// All options, as `GET /info` shows them.
+pub(crate) fn describe() -> Vec<OptionInfo> {
+    let describe = |option: &OptionSpec| OptionInfo {
+        name: option.name,
+        description: option.about,
+        accepts: option.accepts.to_string(),
+        default: option.default,
+    };
+    OPTIONS.iter().map(describe).collect()
+}
+
+/// The bytes of an audio file, as the OpenAPI document shows them.
+pub(crate) struct AudioFile;
+
+impl PartialSchema for AudioFile {
+    fn schema() -> RefOr<Schema> {
+        ObjectBuilder::new()
+            .schema_type(Type::String)
+            .format(Some(SchemaFormat::KnownFormat(KnownFormat::Binary)))
+            .description(Some("The song: wav, flac, mp3, ogg/vorbis or m4a/aac."))
+            .into()
+    }
+}
+
+impl ToSchema for AudioFile {}
+
+/// The multipart form: the audio and any of the options, as the OpenAPI document shows it.
+pub(crate) struct GenerateForm;
+
+impl PartialSchema for GenerateForm {
+    fn schema() -> RefOr<Schema> {
+        let form = ObjectBuilder::new()
+            .property("file", AudioFile::schema())
+            .required("file")
+            .additional_properties(Some(AdditionalProperties::<Schema>::FreeForm(false)));
+        let with = |form: ObjectBuilder, option: &OptionSpec| {
+            let mut schema = option.accepts.schema();
+            schema.description = Some(about(option));
+            form.property(option.name, schema)
+        };
+        OPTIONS.iter().fold(form, with).into()
+    }
+}
+
+impl ToSchema for GenerateForm {}

@@ -1,0 +1,110 @@
+//! Everything that is bounded and shared by requests.
+
+mod admission;
+mod budget;
+mod uploads;
+
+use std::{sync::Arc, time::Duration};
+
+pub(crate) use self::{
+    admission::{Admission, Permit},
+    budget::{Budget, Reservation},
+    uploads::{HeldBytes, UploadReservation, Uploads},
+};
+use super::{
+    config::{ByteSize, Limits, Seconds},
+    error::ServerError,
+    metrics::SharedMetrics,
+};
+
+/// How long a response waits for its memory, where the request has time for twice that.
+const WAIT_FOR_MEMORY: Duration = Duration::from_secs(10);
+
+/// The budgets of one server.
+#[derive(Debug)]
+pub(crate) struct Resources {
+    pub(crate) admission: Admission,
+    pub(crate) uploads: Uploads,
+    /// Seconds of audio that may be processed.
+    pub(crate) audio: Budget,
+    /// Bytes of responses that may wait for their readers.
+    responses: Budget,
+    /// Workers that jobs may use: half of all, at least one.
+    pub(crate) job_workers: Budget,
+    /// Results of jobs that may be written at the same time.
+    pub(crate) writers: Budget,
+    memory: ByteSize,
+    /// Time after which a client that reads nothing gives its memory back.
+    idle_timeout: Seconds,
+    wait_for_memory: Duration,
+}
+
+impl Resources {
+    pub(crate) fn new(limits: &Limits, metrics: &SharedMetrics) -> Self {
+        let workers = limits.max_concurrent_requests.get() as u64;
+        let audio = limits.audio_seconds_in_flight as u64;
+        Self {
+            admission: Admission::new(limits, Arc::clone(metrics)),
+            uploads: Uploads::new(limits, metrics),
+            audio: Budget::new(audio, metrics.audio_in_flight.clone()),
+            responses: Budget::unnamed(limits.answer_memory.0),
+            job_workers: Budget::unnamed((workers / 2).max(1)),
+            writers: Budget::unnamed(workers),
+            memory: limits.answer_memory,
+            idle_timeout: limits.answer_idle_timeout,
+            // Within the time of the request: one that waits for longer is not told why.
+            wait_for_memory: WAIT_FOR_MEMORY.min(limits.request_timeout.0 / 2),
+        }
+    }
+
+    /// Reserves memory for a response. The wait is short: the request keeps its worker meanwhile.
+    ///
+    /// # Errors
+    /// [`ServerError::AnswerMemory`].
+    pub(crate) async fn reserve_response(&self, bytes: usize) -> Result<Reservation, ServerError> {
+        let reserved = self.responses.reserve(bytes as u64);
+        let reserved = tokio::time::timeout(self.wait_for_memory, reserved).await;
+        reserved.map_err(|_| ServerError::AnswerMemory {
+            memory: self.memory,
+            retry_after: self.idle_timeout,
+        })
+    }
+
+    /// When a request that found no room in time would probably find some: the longest wait for
+    /// any budget that is used up.
+    pub(crate) fn retry_after(&self) -> Seconds {
+        let short = |budget: &Budget| budget.is_exhausted().then(|| budget.retry_after(1));
+        let responses = self.responses.is_exhausted().then_some(self.idle_timeout);
+        [short(&self.audio), short(&self.writers), responses]
+            .into_iter()
+            .flatten()
+            .fold(self.admission.retry_after(), Seconds::max)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_late_request_is_told_to_wait_for_what_is_used_up() {
+        let limits = Limits {
+            answer_memory: ByteSize(10),
+            answer_idle_timeout: Seconds::new(7),
+            request_timeout: Seconds(Duration::from_millis(40)),
+            ..Limits::default()
+        };
+        let resources = Resources::new(&limits, &SharedMetrics::default());
+        assert_eq!(resources.retry_after(), Seconds::new(2));
+        let held = resources.reserve_response(1_000).await.unwrap();
+        assert_eq!(resources.retry_after(), Seconds::new(7));
+        assert!(matches!(
+            resources.reserve_response(1).await,
+            Err(ServerError::AnswerMemory { retry_after, .. }) if retry_after == Seconds::new(7)
+        ));
+        drop(held);
+        let song = resources.audio.reserve(u64::MAX).await;
+        assert_eq!(resources.retry_after(), Seconds::new(2));
+        drop(song);
+    }
+}
