@@ -218,8 +218,8 @@ mod tests {
         let off = |by: f64| -> Vec<Pose> {
             let shift = |pose: &Pose| {
                 let mut pose = *pose;
-                for joint in 3..=14 {
-                    pose[joint].y += 2.0 * by;
+                for place in &mut pose[3..=14] {
+                    place.y += 2.0 * by;
                 }
                 pose
             };
