@@ -2,8 +2,8 @@
 
 use std::fs;
 
-/// What `/proc/self/status` says of the process' memory under `name`, in a unit that does not depend on the
-/// size of a page.
+/// What `/proc/self/status` says of the process' memory under `name`, in a unit that does not
+/// depend on the size of a page.
 pub(crate) fn memory_bytes(name: &str) -> Option<u64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with(name))?;

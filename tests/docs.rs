@@ -1,8 +1,8 @@
 //! Every command of the README and the docs, run as a reader would run it.
 //!
 //! Blocks of a document run in order, in a folder with the files that commands name, against one
-//! server. `CONTRIBUTING.md` says what differs from a reader's machine. A block that cannot run here
-//! says why in its fence: `no-run: needs docker`.
+//! server. `CONTRIBUTING.md` says what differs from a reader's machine. A block that cannot run
+//! here says why in its fence: `no-run: needs docker`.
 
 #![allow(
     clippy::unwrap_used,
@@ -102,8 +102,8 @@ fn blocks(document: &Path, text: &str) -> Vec<Block> {
 
 #[test]
 fn blocks_are_read_as_they_are_rendered() {
-    let text = "```sh\na\nb\n```\n```json\n{}\n```\n  ```console\n  $ c\n  out\n  ```\n    ```sh\n    x\n\
-                ```sh no-run: needs a moon\nd\n```";
+    let text = "```sh\na\nb\n```\n```json\n{}\n```\n  ```console\n  $ c\n  out\n  ```\n    \
+                ```sh\n    x\n```sh no-run: needs a moon\nd\n```";
     let found = blocks(Path::new("x.md"), text);
     let found: Vec<_> = found
         .iter()

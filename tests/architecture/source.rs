@@ -106,7 +106,8 @@ pub(crate) struct Crate {
 }
 
 impl Crate {
-    /// Reads the files of a crate: their paths below its `src`, their names in messages, their texts.
+    /// Reads the files of a crate: their paths below its `src`, their names in messages, their
+    /// texts.
     pub(crate) fn parse(files: impl IntoIterator<Item = (PathBuf, String, String)>) -> Self {
         let parse = |(path, file, text): (PathBuf, String, String)| {
             let name = module_path(&path);
@@ -141,7 +142,8 @@ impl Crate {
         edges
     }
 
-    /// Tells whether the module is compiled for tests only: what it uses is no matter of architecture.
+    /// Tells whether the module is compiled for tests only: what it uses is no matter of
+    /// architecture.
     fn is_for_tests(&self, name: &Names) -> bool {
         (0..name.len()).any(|length| {
             let parent = self.modules.get(&name[..length]);

@@ -1,9 +1,18 @@
-//! What resampling and features are both made of.
+//! Vectorised sums, shared by resampling and features.
 
-/// Does `work` with the widest vector instructions that this machine has.
+/// Runs `work` with the widest vector instructions that this machine has.
 ///
-/// What is inlined into `work` is compiled once more for them, and they are looked for when the program runs. The
-/// results are the same bit for bit: sums keep their order, and products are rounded before they are added.
+/// All code inlined into `work` is compiled for each instruction set, and the program picks one
+/// when it runs. The results are the same bit for bit: sums keep their order, and products are
+/// rounded before they are added.
+///
+/// ```
+/// use bailando_core::dsp::vectorised;
+///
+/// let mut samples = [1.0_f32, -2.0, 3.0];
+/// vectorised(|| samples.iter_mut().for_each(|sample| *sample *= 0.5));
+/// assert_eq!(samples, [0.5, -1.0, 1.5]);
+/// ```
 #[inline(always)]
 pub fn vectorised<T>(work: impl FnOnce() -> T) -> T {
     pulp::Arch::new().dispatch(work)
@@ -12,7 +21,7 @@ pub fn vectorised<T>(work: impl FnOnce() -> T) -> T {
 /// Products that [`dot`] sums side by side.
 pub const LANES: usize = 32;
 
-/// Modified Bessel function of the first kind and order zero, by its power series.
+/// Returns the modified Bessel function of the first kind and order zero, by its power series.
 pub fn bessel_i0(x: f64) -> f64 {
     let quarter = x * x / 4.0;
     let (mut sum, mut term, mut k) = (1.0, 1.0, 1.0);
@@ -24,7 +33,7 @@ pub fn bessel_i0(x: f64) -> f64 {
     sum
 }
 
-/// Sum of products over the shorter length, in independent lanes so that it vectorises.
+/// Returns the sum of products over the shorter length, in independent lanes so that it vectorises.
 pub fn dot(a: &[f32], b: &[f32]) -> f32 {
     vectorised(
         #[inline(always)]

@@ -1,4 +1,4 @@
-//! What every crate of Bailando shares: cancellation, vectorised sums and NumPy files.
+//! Cancellation, vectorised sums and NumPy files, shared by all crates of Bailando.
 //!
 //! ```
 //! use bailando_core::{CancelToken, dsp::dot};

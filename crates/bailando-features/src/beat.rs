@@ -1,6 +1,6 @@
 //! Beats by dynamic programming over the onset envelope (FEATURES sections 9 and 11.5).
 
-use super::median::middle_two;
+use crate::{layout::Rate, median::middle_two};
 
 const TIGHTNESS: f64 = 100.0;
 /// Half-width of the score's bell is a beat period over this.
@@ -9,17 +9,35 @@ const SHARPNESS: f64 = 32.0;
 const FIRST_BEAT_SHARE: f64 = 0.01;
 const TRIM_KERNEL: [f64; 5] = [0.0, 0.5, 1.0, 0.5, 0.0];
 
-/// Whose tracker is reproduced.
+/// Tempo and beats of a song.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Beats {
+    /// Beats per minute; 0 when the onset envelope is silent.
+    pub tempo_bpm: f64,
+    /// Row indices of the beats (column 53), ascending.
+    pub frames: Vec<usize>,
+}
+
+impl Beats {
+    /// Returns the seconds of the beats, if they were tracked at [`Rate::Beats`].
+    pub fn seconds(&self) -> impl Iterator<Item = f64> + '_ {
+        let rows_per_second = Rate::Beats.rows_per_second();
+        let seconds = move |&frame: &usize| frame as f64 / rows_per_second;
+        self.frames.iter().map(seconds)
+    }
+}
+
+/// The version of librosa's tracker that is reproduced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum BeatRules {
+pub(crate) enum BeatRules {
     /// librosa 0.10.2 and later.
     Current,
     /// librosa 0.8.1 (FEATURES section 11.5).
     Librosa081,
 }
 
-/// Finds the beats of an envelope whose beat period is known.
-pub(super) struct BeatTracker {
+/// Tracker of the beats of an envelope whose beat period is known.
+pub(crate) struct BeatTracker {
     rules: BeatRules,
     /// Onset score around each row.
     local: Vec<f64>,
@@ -30,7 +48,7 @@ pub(super) struct BeatTracker {
 }
 
 impl BeatTracker {
-    pub(super) fn new(rules: BeatRules) -> Self {
+    pub(crate) fn new(rules: BeatRules) -> Self {
         Self {
             rules,
             local: Vec::new(),
@@ -40,7 +58,7 @@ impl BeatTracker {
     }
 
     /// Rows of the beats, ascending; `period` is in rows and at least 1.
-    pub(super) fn track(&mut self, onset: &[f32], period: usize) -> Vec<usize> {
+    pub(crate) fn track(&mut self, onset: &[f32], period: usize) -> Vec<usize> {
         let Some(normalised) = self.normalise(onset) else {
             return Vec::new();
         };
@@ -104,10 +122,7 @@ impl BeatTracker {
         self.total.clear();
         self.previous.clear();
         for row in 0..self.local.len() {
-            let best = match self.rules {
-                BeatRules::Current => self.best_predecessor(row, nearest, &penalties),
-                BeatRules::Librosa081 => self.best_predecessor_081(row, nearest, &penalties),
-            };
+            let best = self.best_predecessor(row, nearest, &penalties);
             let local = self.local[row];
             started = started || local >= audible;
             self.total.push(local + best.map_or(0.0, |best| best.score));
@@ -124,42 +139,31 @@ impl BeatTracker {
         TIGHTNESS * (ratio * ratio)
     }
 
-    /// From the nearest on; the nearest of equals wins.
     fn best_predecessor(
         &self,
         row: usize,
         nearest: usize,
         penalties: &[f64],
     ) -> Option<Predecessor> {
-        let mut best: Option<Predecessor> = None;
-        for (lag, penalty) in (nearest..=row).zip(penalties) {
-            let score = self.total[row - lag] - penalty;
-            if best.is_none_or(|best| score > best.score) {
-                best = Some(Predecessor {
-                    score,
-                    row: Some(row - lag),
-                });
-            }
-        }
-        best
-    }
-
-    /// From the farthest on, where rows before the first score 0; the farthest of equals wins.
-    fn best_predecessor_081(
-        &self,
-        row: usize,
-        nearest: usize,
-        penalties: &[f64],
-    ) -> Option<Predecessor> {
-        let mut best: Option<Predecessor> = None;
-        for (offset, penalty) in penalties.iter().enumerate().rev() {
+        let candidate = |(offset, penalty): (usize, &f64)| {
             let row = row.checked_sub(nearest + offset);
             let score = row.map_or(0.0, |row| self.total[row]) - penalty;
-            if best.is_none_or(|best| score > best.score) {
-                best = Some(Predecessor { score, row });
+            Predecessor { score, row }
+        };
+        // The first of equals wins.
+        let better = |best: Predecessor, next: Predecessor| match next.score > best.score {
+            true => next,
+            false => best,
+        };
+        let from_nearest = penalties.iter().enumerate();
+        match self.rules {
+            BeatRules::Current => {
+                let inside = from_nearest.take_while(|(offset, _)| nearest + offset <= row);
+                inside.map(candidate).reduce(better)
             }
+            // From the farthest on, and a row before the first scores 0.
+            BeatRules::Librosa081 => from_nearest.rev().map(candidate).reduce(better),
         }
-        best
     }
 
     fn follow_back(&self) -> Vec<usize> {
@@ -177,10 +181,8 @@ impl BeatTracker {
                 && self.total[row] > self.total[row - 1]
                 && (row + 1 == rows || self.total[row] >= self.total[row + 1])
         };
-        let mut peaks: Vec<f64> = (0..rows)
-            .filter(is_peak)
-            .map(|row| self.total[row])
-            .collect();
+        let peaks = (0..rows).filter(is_peak);
+        let mut peaks: Vec<f64> = peaks.map(|row| self.total[row]).collect();
         let Some((lower, upper)) = middle_two(&mut peaks, f64::total_cmp) else {
             return rows - 1;
         };
@@ -195,41 +197,32 @@ impl BeatTracker {
             .unwrap_or(rows - 1)
     }
 
-    fn trim(&self, beats: &mut Vec<usize>) {
-        match self.rules {
-            BeatRules::Current => self.trim_weak_ends(beats),
-            BeatRules::Librosa081 => self.trim_weak_ends_081(beats),
-        }
-    }
-
     /// Drops leading and trailing beats that hardly exceed the mean strength of beats.
-    fn trim_weak_ends(&self, beats: &mut Vec<usize>) {
+    fn trim(&self, beats: &mut Vec<usize>) {
         let smoothed = self.smoothed_strengths(beats);
-        let kept = &smoothed[2..smoothed.len().min(2 + self.local.len())];
+        let length = match self.rules {
+            BeatRules::Current => self.local.len().min(beats.len() + 2),
+            BeatRules::Librosa081 => beats.len(),
+        };
+        let kept = &smoothed[2..2 + length];
         let threshold = 0.5 * root_mean_square(kept);
-        let strong = |local: &f64| *local > threshold;
-        let first = self.local.iter().position(strong);
-        let last = self.local.iter().rposition(strong);
-        match first.zip(last) {
-            Some((first, last)) => beats.retain(|beat| (first..=last).contains(beat)),
-            None => beats.clear(),
-        }
-    }
-
-    /// Drops weak beats at both ends, and the last strong one with them.
-    fn trim_weak_ends_081(&self, beats: &mut Vec<usize>) {
-        let smoothed = self.smoothed_strengths(beats);
-        let kept = &smoothed[2..2 + beats.len()];
-        let threshold = 0.5 * root_mean_square(kept);
+        // The current tracker compares all rows, the older one the beats.
+        let strengths = match self.rules {
+            BeatRules::Current => &self.local[..],
+            BeatRules::Librosa081 => kept,
+        };
         let strong = |strength: &f64| *strength > threshold;
-        let first = kept.iter().position(strong);
-        let last = kept.iter().rposition(strong);
-        match first.zip(last) {
-            Some((first, last)) => {
-                beats.truncate(last);
-                beats.drain(..first);
-            }
+        let first = strengths.iter().position(strong);
+        match first.zip(strengths.iter().rposition(strong)) {
             None => beats.clear(),
+            Some((first, last)) => match self.rules {
+                BeatRules::Current => beats.retain(|beat| (first..=last).contains(beat)),
+                // The last strong beat goes with the weak ones.
+                BeatRules::Librosa081 => {
+                    beats.truncate(last);
+                    beats.drain(..first);
+                }
+            },
         }
     }
 
@@ -298,18 +291,19 @@ mod tests {
 
     #[test]
     fn ties_go_to_the_nearest_and_before_0_8_1_to_the_farthest() {
-        let mut tracker = BeatTracker::new(BeatRules::Current);
-        tracker.total = vec![1.0; 10];
-        let flat = [0.0; 4];
-        let row = |best: Option<Predecessor>| best.and_then(|best| best.row);
-        assert_eq!(row(tracker.best_predecessor(9, 2, &flat)), Some(7));
-        assert_eq!(row(tracker.best_predecessor_081(9, 2, &flat)), Some(4));
-        assert_eq!(row(tracker.best_predecessor(1, 2, &flat)), None);
-        // Row 3 can only reach rows 1 and 0 and, in the older version, what lies before.
-        tracker.total = vec![-1.0; 10];
-        assert_eq!(row(tracker.best_predecessor(3, 2, &flat)), Some(1));
-        let best = tracker.best_predecessor_081(3, 2, &flat).unwrap();
-        assert_eq!((best.row, best.score), (None, 0.0));
+        let best = |rules, level, row| {
+            let mut tracker = BeatTracker::new(rules);
+            tracker.total = vec![level; 10];
+            let best = tracker.best_predecessor(row, 2, &[0.0; 4]);
+            best.map(|best| (best.row, best.score))
+        };
+        use BeatRules::{Current, Librosa081};
+        assert_eq!(best(Current, 1.0, 9), Some((Some(7), 1.0)));
+        assert_eq!(best(Librosa081, 1.0, 9), Some((Some(4), 1.0)));
+        assert_eq!(best(Current, 1.0, 1), None);
+        // Row 3 can only reach rows 1 and 0 and, in the older version, rows before the first.
+        assert_eq!(best(Current, -1.0, 3), Some((Some(1), -1.0)));
+        assert_eq!(best(Librosa081, -1.0, 3), Some((None, 0.0)));
     }
 
     #[test]

@@ -1,14 +1,14 @@
 //! Twelve pitch classes from constant-Q magnitudes (FEATURES section 7).
 
-use super::tuning::BINS_PER_OCTAVE;
+use crate::tuning::BINS_PER_OCTAVE;
 
 /// Pitch classes, C first.
-pub(super) const CLASSES: usize = 12;
+pub(crate) const CLASSES: usize = 12;
 
 const BINS_PER_CLASS: usize = BINS_PER_OCTAVE / CLASSES;
 
-/// Energy per pitch class of one frame, relative to the strongest; zeros where there is none.
-pub(super) fn frame<'out>(
+/// Writes the energy per pitch class of one frame, relative to the strongest; zeros without energy.
+pub(crate) fn frame<'out>(
     cqt: impl IntoIterator<Item = &'out f32>,
     chroma: impl IntoIterator<Item = &'out mut f32>,
 ) {
@@ -18,11 +18,8 @@ pub(super) fn frame<'out>(
         sums[(bin + 1) % BINS_PER_OCTAVE / BINS_PER_CLASS] += magnitude;
     }
     let strongest = sums.iter().copied().fold(0.0, f32::max);
-    let scale = if strongest < f32::MIN_POSITIVE {
-        1.0
-    } else {
-        strongest
-    };
+    let is_silent = strongest < f32::MIN_POSITIVE;
+    let scale = if is_silent { 1.0 } else { strongest };
     for (class, sum) in chroma.into_iter().zip(sums) {
         *class = sum / scale;
     }

@@ -1,31 +1,31 @@
 //! Constant-Q magnitudes, octave by octave from the top (FEATURES section 6).
 
+use bailando_core::CancelToken;
 use ndarray::Array2;
 use rustfft::num_complex::Complex;
 
-use super::{
-    HOP,
+use crate::{
     cqt_basis::{BasisMaker, Filter, frequency},
     decimate::{Decimation, Decimator},
+    layout::{HOP, row_count},
     padding::Padding,
-    row_count,
     stft::Stft,
     tuning::BINS_PER_OCTAVE,
 };
 
-/// What the transform depends on besides the tuning.
+/// Settings of the transform besides the tuning.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct CqtSettings {
-    pub(super) sample_rate: f64,
-    pub(super) octaves: usize,
+pub(crate) struct CqtSettings {
+    pub(crate) sample_rate: f64,
+    pub(crate) octaves: usize,
     /// Filter length in periods of its frequency.
-    pub(super) quality: f64,
-    pub(super) decimation: Decimation,
-    pub(super) padding: Padding,
+    pub(crate) quality: f64,
+    pub(crate) decimation: Decimation,
+    pub(crate) padding: Padding,
 }
 
-/// The transform; only its filters are made anew for each clip.
-pub(super) struct Cqt {
+/// The transform; only its filters are made for each clip.
+pub(crate) struct Cqt {
     settings: CqtSettings,
     basis: BasisMaker,
     stft: Stft,
@@ -34,7 +34,7 @@ pub(super) struct Cqt {
 }
 
 impl Cqt {
-    pub(super) fn new(settings: CqtSettings) -> Self {
+    pub(crate) fn new(settings: CqtSettings) -> Self {
         // The longest filter of the top octave at the lowest tuning, -0.5.
         let lowest_of_top = frequency(BINS_PER_OCTAVE * (settings.octaves - 1), -0.5);
         let longest = settings.quality * settings.sample_rate / lowest_of_top;
@@ -49,17 +49,17 @@ impl Cqt {
     }
 
     /// CQT bins of all octaves.
-    pub(super) fn bins(&self) -> usize {
+    pub(crate) fn bins(&self) -> usize {
         BINS_PER_OCTAVE * self.settings.octaves
     }
 
-    /// Magnitudes `[T, bins]` of `signal` for the given tuning (fraction of a bin); `goes_on` is asked before
-    /// every octave.
-    pub(super) fn magnitudes(
+    /// Magnitudes `[T, bins]` of `signal` for the given tuning (fraction of a bin); `cancel` is
+    /// checked before every octave.
+    pub(crate) fn magnitudes(
         &mut self,
         signal: &[f32],
         tuning: f64,
-        goes_on: impl Fn() -> bool,
+        cancel: &CancelToken,
     ) -> Array2<f32> {
         let top_octave = BINS_PER_OCTAVE * (self.settings.octaves - 1);
         let frequencies = (top_octave..self.bins()).map(|bin| frequency(bin, tuning));
@@ -67,43 +67,44 @@ impl Cqt {
 
         let mut magnitudes = Array2::zeros((row_count(signal.len()), self.bins()));
         let mut halved: Option<Vec<f32>> = None;
-        for halvings in (0..self.settings.octaves).take_while(|_| goes_on()) {
+        for halvings in (0..self.settings.octaves).take_while(|_| !cancel.is_cancelled()) {
             if halvings > 0 {
                 let previous = halved.as_deref().unwrap_or(signal);
                 halved = Some(self.decimator.run(previous));
             }
-            self.octave(
-                halved.as_deref().unwrap_or(signal),
-                halvings,
-                &filters,
-                tuning,
-                &mut magnitudes,
-            );
+            let signal = halved.as_deref().unwrap_or(signal);
+            let columns = self.columns(halvings, tuning, &filters);
+            self.octave(signal, HOP >> halvings, columns, &mut magnitudes);
         }
         magnitudes
     }
 
-    /// Fills the columns of the octave that is `halvings` below the top one.
+    /// The columns of the octave that is `halvings` below the top one: number, gain and filter of
+    /// each.
+    fn columns<'f>(
+        &self,
+        halvings: usize,
+        tuning: f64,
+        filters: &'f [Filter],
+    ) -> Vec<(usize, f32, &'f Filter)> {
+        let first = BINS_PER_OCTAVE * (self.settings.octaves - 1 - halvings);
+        let columns = (first..).zip(filters);
+        columns
+            .map(|(bin, filter)| (bin, self.gain(bin, halvings, tuning), filter))
+            .collect()
+    }
+
     fn octave(
         &mut self,
         signal: &[f32],
-        halvings: usize,
-        filters: &[Filter],
-        tuning: f64,
+        hop: usize,
+        columns: Vec<(usize, f32, &Filter)>,
         magnitudes: &mut Array2<f32>,
     ) {
-        let first = BINS_PER_OCTAVE * (self.settings.octaves - 1 - halvings);
-        let columns = first..first + BINS_PER_OCTAVE;
-        let gains: Vec<f32> = columns
-            .clone()
-            .map(|bin| self.gain(bin, halvings, tuning))
-            .collect();
-        let hop = HOP >> halvings;
         for (row, mut magnitudes) in magnitudes.rows_mut().into_iter().enumerate() {
             self.stft.frame(signal, row * hop, &mut self.spectrum);
-            let cells = magnitudes.iter_mut().skip(first);
-            for ((cell, filter), gain) in cells.zip(filters).zip(&gains) {
-                *cell = gain * respond(filter, &self.spectrum).norm_sqr().sqrt();
+            for &(column, gain, filter) in &columns {
+                magnitudes[column] = gain * respond(filter, &self.spectrum).norm_sqr().sqrt();
             }
         }
     }
@@ -150,18 +151,15 @@ mod tests {
             let sine: Vec<f32> = (0..3_840 * 4)
                 .map(|i| (std::f64::consts::TAU * hz * f64::from(i) / 3_840.0).sin() as f32)
                 .collect();
-            let magnitudes = cqt.magnitudes(&sine, tuning, || true);
+            let magnitudes = cqt.magnitudes(&sine, tuning, &CancelToken::new());
             assert_eq!(magnitudes.dim(), (31, 180));
             let row = magnitudes.row(15);
             let peak = (0..180).max_by(|&a, &b| row[a].total_cmp(&row[b]));
             assert_eq!(peak, Some(bin));
             // An L1-normalised filter of length L, scaled by L / sqrt(L), halves the amplitude.
             let expected = (cqt.settings.quality * 3_840.0 / hz).sqrt() / 2.0;
-            assert!(
-                (f64::from(row[bin]) / expected - 1.0).abs() < 0.02,
-                "bin {bin}: {} against {expected}",
-                row[bin]
-            );
+            let ratio = f64::from(row[bin]) / expected;
+            assert!((ratio - 1.0).abs() < 0.02, "bin {bin}: {ratio}");
         }
     }
 }

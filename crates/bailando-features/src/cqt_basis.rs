@@ -4,17 +4,17 @@ use std::{f64::consts::TAU, sync::Arc};
 
 use rustfft::{Fft, FftPlanner, num_complex::Complex};
 
-use super::{stft::hann_periodic, tuning::BINS_PER_OCTAVE};
+use crate::{stft::hann_periodic, tuning::BINS_PER_OCTAVE};
 
 /// C1 with A at 440 Hz.
 const LOWEST_HZ: f64 = 32.703_195_662_574_83;
 /// Share of a filter's summed magnitudes that is dropped from its weakest bins.
 const SPARSITY: f64 = 0.01;
 
-/// Makes the basis of a clip, which depends on its tuning.
+/// Maker of a clip's basis, which depends on its tuning.
 ///
 /// All octaves share one basis: each is half the frequency at half the rate.
-pub(super) struct BasisMaker {
+pub(crate) struct BasisMaker {
     frame: usize,
     quality: f64,
     fft: Arc<dyn Fft<f64>>,
@@ -25,19 +25,19 @@ pub(super) struct BasisMaker {
 
 /// One filter: the bins that survive, from `first_bin` on.
 #[derive(Clone, Debug)]
-pub(super) struct Filter {
-    pub(super) first_bin: usize,
-    pub(super) response: Vec<Complex<f32>>,
+pub(crate) struct Filter {
+    pub(crate) first_bin: usize,
+    pub(crate) response: Vec<Complex<f32>>,
 }
 
 /// Frequency of CQT bin `index` in Hz.
-pub(super) fn frequency(index: usize, tuning: f64) -> f64 {
+pub(crate) fn frequency(index: usize, tuning: f64) -> f64 {
     LOWEST_HZ * ((tuning + index as f64) / BINS_PER_OCTAVE as f64).exp2()
 }
 
 impl BasisMaker {
     /// `frame`: samples of a CQT frame, at least as many as the longest filter has.
-    pub(super) fn new(frame: usize, quality: f64) -> Self {
+    pub(crate) fn new(frame: usize, quality: f64) -> Self {
         let fft = FftPlanner::new().plan_fft_forward(frame);
         Self {
             frame,
@@ -50,12 +50,12 @@ impl BasisMaker {
     }
 
     /// Length of the filter at `hz`, in samples, not rounded.
-    pub(super) fn filter_length(&self, hz: f64, sample_rate: f64) -> f64 {
+    pub(crate) fn filter_length(&self, hz: f64, sample_rate: f64) -> f64 {
         self.quality * sample_rate / hz
     }
 
     /// The filters at `frequencies` (Hz), for a signal at `sample_rate`.
-    pub(super) fn filters(
+    pub(crate) fn filters(
         &mut self,
         frequencies: impl Iterator<Item = f64>,
         sample_rate: f64,
@@ -86,7 +86,7 @@ impl BasisMaker {
             .process_with_scratch(&mut self.samples, &mut self.scratch);
     }
 
-    /// Cuts the response down to its bins that matter; what lies between them is zero.
+    /// Cuts the response down to its strong bins; weak ones between them become zero.
     fn sparsify(&mut self) -> Filter {
         let bins = &self.samples[..=self.frame / 2];
         self.magnitudes.clear();
@@ -108,12 +108,9 @@ impl BasisMaker {
         let end = bins.iter().rposition(kept).map_or(0, |last| last + 1);
         let response = bins[first_bin..end.max(first_bin)]
             .iter()
-            .map(|bin| {
-                if kept(bin) {
-                    Complex::new(bin.re as f32, bin.im as f32)
-                } else {
-                    Complex::default()
-                }
+            .map(|bin| match kept(bin) {
+                true => Complex::new(bin.re as f32, bin.im as f32),
+                false => Complex::default(),
             })
             .collect();
         Filter {

@@ -5,9 +5,9 @@ use ndarray::Array2;
 const SMALLEST_POWER: f32 = 1e-10;
 const RANGE_DB: f32 = 80.0;
 
-/// What 0 dB means.
+/// The power at 0 dB.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Reference {
+pub(crate) enum Reference {
     /// The largest value of the clip.
     Maximum,
     /// A power of 1.
@@ -15,7 +15,7 @@ pub(super) enum Reference {
 }
 
 /// Replaces the powers of a whole clip by decibels; nothing lies more than 80 dB below the maximum.
-pub(super) fn to_decibels(powers: &mut Array2<f32>, reference: Reference) {
+pub(crate) fn to_decibels(powers: &mut Array2<f32>, reference: Reference) {
     let maximum = powers.iter().copied().fold(0.0, f32::max);
     let offset = match reference {
         Reference::Maximum => 10.0 * f64::from(maximum.max(SMALLEST_POWER)).log10(),

@@ -5,24 +5,24 @@ use std::f64::consts::{PI, SQRT_2};
 
 use bailando_core::dsp::{bessel_i0, dot};
 
-/// Which library's filter is reproduced.
+/// The filter that is reproduced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Decimation {
+pub(crate) enum Decimation {
     /// soxr "HQ": the symmetric filter of FEATURES section 6.
     SoxrHq,
     /// resampy "kaiser_fast": 16 zero crossings, passband 0.85 of the new Nyquist.
     KaiserFast,
 }
 
-/// A zero-phase filter followed by dropping every other sample, with gain `sqrt(2)`.
-pub(super) struct Decimator {
+/// A zero-phase filter that drops every other sample, with gain `sqrt(2)`.
+pub(crate) struct Decimator {
     taps: Vec<f32>,
-    // resampy gives floor(n / 2) samples; librosa appends a zero where ceil(n / 2) is due.
+    // resampy gives floor(n / 2) samples; librosa appends a zero if ceil(n / 2) is one more.
     drops_odd_end: bool,
 }
 
 impl Decimator {
-    pub(super) fn new(kind: Decimation) -> Self {
+    pub(crate) fn new(kind: Decimation) -> Self {
         match kind {
             Decimation::SoxrHq => Self {
                 taps: windowed_sinc(0.478_435_91, 195, 195.0, 13.1064),
@@ -35,8 +35,9 @@ impl Decimator {
         }
     }
 
-    /// `ceil(n / 2)` samples; output `m` lies at input `2 m`, and outside `signal` is silence.
-    pub(super) fn run(&self, signal: &[f32]) -> Vec<f32> {
+    /// Returns `ceil(n / 2)` samples; output `m` lies at input `2 m`, and outside `signal` is
+    /// silence.
+    pub(crate) fn run(&self, signal: &[f32]) -> Vec<f32> {
         let mut halved: Vec<f32> = (0..signal.len().div_ceil(2))
             .map(|output| self.filter(signal, 2 * output) * SQRT_2 as f32)
             .collect();
@@ -127,10 +128,8 @@ mod tests {
                         Some(f64::from(tap) * f64::from(*signal.get(index)?))
                     })
                     .sum();
-                assert!(
-                    (f64::from(*got) - direct * SQRT_2).abs() < 1e-6,
-                    "{kind:?} {m}"
-                );
+                let error = f64::from(*got) - direct * SQRT_2;
+                assert!(error.abs() < 1e-6, "{kind:?} {m}");
             }
         }
     }

@@ -1,11 +1,12 @@
 //! Why features could not be computed.
 
-/// Why features could not be computed.
+/// The reason why features could not be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FeatureError {
     /// The delta stage needs three rows (FEATURES section 3).
     #[error(
-        "the audio is too short for music features: it gives {rows} feature rows, at least {needed} are needed"
+        "the audio is too short for music features: it gives {rows} feature rows, at least \
+         {needed} are needed"
     )]
     TooShort {
         /// Rows that the signal gives.
@@ -19,9 +20,6 @@ pub enum FeatureError {
         /// Index of the first such sample.
         index: usize,
     },
-    /// Nobody wants the features any more.
-    #[error("the features were cancelled")]
-    Cancelled,
     /// A sample is so large that its power would overflow.
     #[error("sample {index} of the signal is {value:e}; full scale is 1")]
     OutOfRange {
@@ -30,4 +28,7 @@ pub enum FeatureError {
         /// Its value.
         value: f32,
     },
+    /// The caller's token was cancelled.
+    #[error("the features were cancelled")]
+    Cancelled,
 }

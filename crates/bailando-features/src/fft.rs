@@ -5,8 +5,8 @@ use std::sync::Arc;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
 
-/// `n` real samples to `n / 2 + 1` bins.
-pub(super) struct ForwardFft {
+/// A transform of `n` real samples to `n / 2 + 1` bins.
+pub(crate) struct ForwardFft {
     plan: Arc<dyn RealToComplex<f64>>,
     input: Vec<f64>,
     output: Vec<Complex<f64>>,
@@ -14,7 +14,7 @@ pub(super) struct ForwardFft {
 }
 
 impl ForwardFft {
-    pub(super) fn new(n: usize) -> Self {
+    pub(crate) fn new(n: usize) -> Self {
         let plan = RealFftPlanner::new().plan_fft_forward(n);
         Self {
             input: plan.make_input_vec(),
@@ -24,8 +24,8 @@ impl ForwardFft {
         }
     }
 
-    /// The samples to transform; all have to be set before every [`ForwardFft::run`].
-    pub(super) fn input(&mut self) -> &mut [f64] {
+    /// The samples to transform; all must be set before every [`ForwardFft::run`].
+    pub(crate) fn input(&mut self) -> &mut [f64] {
         &mut self.input
     }
 
@@ -33,7 +33,7 @@ impl ForwardFft {
         clippy::expect_used,
         reason = "the plan made the buffers to its own sizes"
     )]
-    pub(super) fn run(&mut self) -> &[Complex<f64>] {
+    pub(crate) fn run(&mut self) -> &[Complex<f64>] {
         self.plan
             .process_with_scratch(&mut self.input, &mut self.output, &mut self.scratch)
             .expect("buffers of the planned sizes");
@@ -41,8 +41,8 @@ impl ForwardFft {
     }
 }
 
-/// `n / 2 + 1` bins to `n` real samples, without the factor `1 / n`.
-pub(super) struct InverseFft {
+/// A transform of `n / 2 + 1` bins to `n` real samples, without the factor `1 / n`.
+pub(crate) struct InverseFft {
     plan: Arc<dyn ComplexToReal<f64>>,
     input: Vec<Complex<f64>>,
     output: Vec<f64>,
@@ -50,7 +50,7 @@ pub(super) struct InverseFft {
 }
 
 impl InverseFft {
-    pub(super) fn new(n: usize) -> Self {
+    pub(crate) fn new(n: usize) -> Self {
         let plan = RealFftPlanner::new().plan_fft_inverse(n);
         Self {
             input: plan.make_input_vec(),
@@ -60,8 +60,8 @@ impl InverseFft {
         }
     }
 
-    /// The bins to transform; all have to be set before every [`InverseFft::run`].
-    pub(super) fn input(&mut self) -> &mut [Complex<f64>] {
+    /// The bins to transform; all must be set before every [`InverseFft::run`].
+    pub(crate) fn input(&mut self) -> &mut [Complex<f64>] {
         &mut self.input
     }
 
@@ -69,7 +69,7 @@ impl InverseFft {
         clippy::expect_used,
         reason = "the plan made the buffers to its own sizes"
     )]
-    pub(super) fn run(&mut self) -> &[f64] {
+    pub(crate) fn run(&mut self) -> &[f64] {
         // A real signal has real first and last bins; the plan insists on exact zeros.
         let last = self.input.len() - 1;
         self.input[0].im = 0.0;

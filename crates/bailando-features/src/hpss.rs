@@ -1,32 +1,31 @@
 //! Harmonic and percussive part by median filtering (FEATURES section 4).
 //!
-//! One pass over the song: only the frames under the median along time are held, and what is rebuilt takes the place of samples that
-//! no frame needs any more.
+//! One pass over the song: only the frames under the median along time are held, and rebuilt
+//! samples take the place of those that no later frame needs.
 
 use std::ops::Range;
 
+use bailando_core::{CancelToken, dsp::vectorised};
 use rustfft::num_complex::Complex;
 
-use super::{
-    HOP,
+use crate::{
     istft::{FrameOf, OverlapAdd},
+    layout::{HOP, row_count},
     median::{LANES, SlidingMedians, WINDOW},
     padding::{Padding, mirror_between_samples},
-    row_count,
     stft::{BINS, Stft, magnitudes},
 };
-use bailando_core::dsp::vectorised;
 
 const HALF_WINDOW: usize = WINDOW / 2;
 // The window of one frame and the frame that has just left it.
 const HELD_FRAMES: usize = WINDOW + 1;
 /// Bins that each of the windows along frequency slides over.
 const SEGMENT: usize = BINS.div_ceil(LANES);
-/// Bins of all of them; what is beyond [`BINS`] is nobody's.
+/// Bins of all of them; those beyond [`BINS`] are not used.
 const WHOLE_LANES: usize = SEGMENT * LANES;
 
-/// Splits a signal; both parts add up to it.
-pub(super) struct Separator {
+/// Separator of a signal into two parts that add up to it.
+pub(crate) struct Separator {
     stft: Stft,
     silent_tail: bool,
     held_spectra: Vec<Complex<f32>>,
@@ -42,8 +41,8 @@ pub(super) struct Separator {
 }
 
 impl Separator {
-    /// `silent_tail`: samples behind the middle of the last frame are zero (FEATURES section 11.3).
-    pub(super) fn new(padding: Padding, silent_tail: bool) -> Self {
+    /// `silent_tail`: samples after the middle of the last frame are zero (FEATURES section 11.3).
+    pub(crate) fn new(padding: Padding, silent_tail: bool) -> Self {
         Self {
             stft: Stft::hann(padding),
             silent_tail,
@@ -59,40 +58,35 @@ impl Separator {
         }
     }
 
-    /// Leaves the percussive part of `signal` in its place and writes the other to `harmonic`, as long, where it is asked
-    /// for. Shows the magnitudes of each frame, in order, to `on_magnitudes`, which says whether to go on: if
-    /// not, the rest stays as it is.
-    pub(super) fn split(
+    /// Leaves the percussive part of `signal` in its place and writes the other part to `harmonic`,
+    /// which is as long, where given. Shows the magnitudes of each frame, in order, to
+    /// `on_magnitudes`. Once `cancel` is triggered, the rest stays as it is.
+    pub(crate) fn split(
         &mut self,
         signal: &mut [f32],
         mut harmonic: Option<&mut [f32]>,
-        mut on_magnitudes: impl FnMut(usize, &[f32]) -> bool,
+        cancel: &CancelToken,
+        mut on_magnitudes: impl FnMut(usize, &[f32]),
     ) {
         let count = row_count(signal.len());
         let mut analysed = 0;
-        let mut goes_on = true;
-        for index in 0..count {
+        for index in (0..count).take_while(|_| !cancel.is_cancelled()) {
             while analysed < count.min(index + HALF_WINDOW + 1) {
                 self.analyse(signal, analysed);
-                goes_on &= on_magnitudes(analysed, self.magnitudes_of(analysed));
+                on_magnitudes(analysed, self.magnitudes_of(analysed));
                 analysed += 1;
-            }
-            if !goes_on {
-                break;
             }
             self.slide_along_time(index, count);
             self.slide_along_frequency(index);
             let frame = FrameOf { index, count };
             if let Some(harmonic_part) = harmonic.as_deref_mut() {
-                self.mask(index, |harmonic, percussive| {
-                    soft_mask(harmonic, percussive)
-                });
+                self.mask(index, soft_mask);
                 self.harmonic.push(&self.masked, frame, harmonic_part);
             }
             self.mask(index, |harmonic, percussive| {
                 soft_mask(percussive, harmonic)
             });
-            // It completes samples half a window of frames before those that the next frame begins with.
+            // The samples that it completes end half a window of frames before the next frame's.
             self.percussive.push(&self.masked, frame, signal);
         }
         if self.silent_tail {
@@ -187,7 +181,7 @@ fn spectrum_range(frame: usize) -> Range<usize> {
     start..start + BINS
 }
 
-/// Where its magnitudes lie in theirs.
+/// Where a frame's magnitudes lie in the ring of held magnitudes.
 fn magnitudes_range(frame: usize) -> Range<usize> {
     let start = (frame % HELD_FRAMES) * WHOLE_LANES;
     start..start + WHOLE_LANES
@@ -205,18 +199,10 @@ fn soft_mask(part: f32, other: f32) -> f32 {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
-    use super::*;
+mod tests {
+    use bailando_testkit::sound::noise;
 
-    pub(crate) fn noise(samples: usize) -> Vec<f32> {
-        let mut state = 7_u32;
-        (0..samples)
-            .map(|_| {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (state >> 8) as f32 / 8_388_608.0 - 1.0
-            })
-            .collect()
-    }
+    use super::*;
 
     #[test]
     fn masks_share_by_power() {
@@ -232,12 +218,13 @@ pub(super) mod tests {
             let pcm = noise(samples);
             let mut separator = Separator::new(Padding::Zeros, false);
             let (mut percussive, mut harmonic) = (pcm.clone(), vec![0.0; samples]);
-            separator.split(&mut percussive, Some(&mut harmonic), |_, _| true);
+            let cancel = &CancelToken::new();
+            separator.split(&mut percussive, Some(&mut harmonic), cancel, |_, _| {});
             for ((h, p), x) in harmonic.iter().zip(&percussive).zip(&pcm) {
                 assert!((h + p - x).abs() < 5e-6);
             }
             let mut alone = pcm;
-            separator.split(&mut alone, None, |_, _| true);
+            separator.split(&mut alone, None, cancel, |_, _| {});
             assert_eq!(alone, percussive);
         }
     }
@@ -249,9 +236,8 @@ pub(super) mod tests {
             let frames = row_count(samples);
             let mut separator = Separator::new(Padding::Zeros, false);
             let mut rows = Vec::new();
-            separator.split(&mut pcm.clone(), None, |_, row| {
+            separator.split(&mut pcm.clone(), None, &CancelToken::new(), |_, row| {
                 rows.push(row.to_vec());
-                true
             });
             assert_eq!(rows.len(), frames);
             let sorted_median = |mut values: Vec<f32>| {
@@ -272,17 +258,13 @@ pub(super) mod tests {
                         .clone()
                         .map(|d| rows[mirror_between_samples(frame as isize + d, frames)][bin])
                         .collect();
-                    assert_eq!(
-                        separator.along_time.medians()[bin],
-                        sorted_median(along_time)
-                    );
+                    let median = separator.along_time.medians()[bin];
+                    assert_eq!(median, sorted_median(along_time));
                     let along_frequency = window
                         .map(|d| rows[frame][mirror_between_samples(bin as isize + d, BINS)])
                         .collect();
-                    assert_eq!(
-                        separator.percussive_median[bin],
-                        sorted_median(along_frequency)
-                    );
+                    let median = separator.percussive_median[bin];
+                    assert_eq!(median, sorted_median(along_frequency));
                 }
             }
         }
@@ -292,7 +274,8 @@ pub(super) mod tests {
     fn the_older_profile_ends_in_zeros() {
         let (mut percussive, mut harmonic) = (noise(5_000), vec![0.0; 5_000]);
         let mut separator = Separator::new(Padding::Reflect, true);
-        separator.split(&mut percussive, Some(&mut harmonic), |_, _| true);
+        let cancel = &CancelToken::new();
+        separator.split(&mut percussive, Some(&mut harmonic), cancel, |_, _| {});
         for part in [percussive, harmonic] {
             assert!(part[4_608..].iter().all(|&x| x == 0.0));
             assert!(part[4_600..4_608].iter().any(|&x| x != 0.0));

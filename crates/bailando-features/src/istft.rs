@@ -4,16 +4,16 @@ use std::ops::Range;
 
 use rustfft::num_complex::Complex;
 
-use super::{
-    HOP,
+use crate::{
     fft::InverseFft,
+    layout::HOP,
     stft::{FRAME, hann_periodic},
 };
 
 const OVERLAP: usize = FRAME / HOP;
 
-/// Rebuilds a signal from the frames of [`super::stft::Stft::hann`], pushed in order.
-pub(super) struct OverlapAdd {
+/// Rebuilder of a signal from the frames of [`crate::stft::Stft::hann`], pushed in order.
+pub(crate) struct OverlapAdd {
     inverse: InverseFft,
     window: Vec<f64>,
     /// Sum of the squared windows where all frames overlap, one hop long.
@@ -22,15 +22,15 @@ pub(super) struct OverlapAdd {
     pending: Vec<f64>,
 }
 
-/// Which of how many frames.
+/// A frame's place among all frames.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct FrameOf {
-    pub(super) index: usize,
-    pub(super) count: usize,
+pub(crate) struct FrameOf {
+    pub(crate) index: usize,
+    pub(crate) count: usize,
 }
 
 impl OverlapAdd {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let window = hann_periodic(FRAME);
         Self {
             inverse: InverseFft::new(FRAME),
@@ -43,7 +43,7 @@ impl OverlapAdd {
     }
 
     /// Adds one frame and writes the samples that it completes into `signal`, the whole output.
-    pub(super) fn push(&mut self, spectrum: &[Complex<f32>], frame: FrameOf, signal: &mut [f32]) {
+    pub(crate) fn push(&mut self, spectrum: &[Complex<f32>], frame: FrameOf, signal: &mut [f32]) {
         if frame.index == 0 {
             self.pending.fill(0.0);
         }
@@ -62,7 +62,7 @@ impl OverlapAdd {
         }
     }
 
-    /// Writes the first hop of what is pending, which is segment `segment` of the padded signal.
+    /// Writes the first pending hop, which is segment `segment` of the padded signal.
     fn emit(&mut self, segment: usize, frames: usize, signal: &mut [f32]) {
         // The first FRAME / 2 samples are padding.
         let position = (segment * HOP).checked_sub(FRAME / 2);
@@ -90,7 +90,7 @@ impl OverlapAdd {
     }
 }
 
-/// Sum of the squared windows of the frames that are `quarters` hops into themselves, `offset` samples on.
+/// Sum of the squared window at `offset` samples into each of its `quarters` (hops from its start).
 fn squared_sum(window: &[f64], offset: usize, quarters: Range<usize>) -> f64 {
     quarters
         .map(|quarter| window[quarter * HOP + offset].powi(2))

@@ -3,24 +3,26 @@
 use pulp::{Arch, Simd, WithSimd};
 
 /// Length of the sliding window.
-pub(super) const WINDOW: usize = 31;
+pub(crate) const WINDOW: usize = 31;
 
-/// Numbers of windows that slide side by side are multiples of this: whole vectors on every machine.
-pub(super) const LANES: usize = 16;
+/// Divisor of the number of windows that slide side by side: whole vectors on every machine.
+pub(crate) const LANES: usize = 16;
 
-/// The last [`WINDOW`] values of each of several windows, in ascending order; each step exchanges one value a window.
+/// The last [`WINDOW`] values of each of several windows, in ascending order; each step exchanges
+/// one value per window.
 #[derive(Clone, Debug)]
-pub(super) struct SlidingMedians {
+pub(crate) struct SlidingMedians {
     windows: usize,
-    /// What is replaced where there is nothing yet.
+    /// The values that the first ones replace.
     infinite: Vec<f32>,
-    /// The values of all windows rank by rank. One more rank, always infinite, spares the shift below a special case.
+    /// The values of all windows rank by rank. One more rank, always infinite, saves a special
+    /// case.
     sorted: Vec<f32>,
 }
 
 impl SlidingMedians {
-    /// `windows`, a multiple of [`LANES`], that wait for [`WINDOW`] values each.
-    pub(super) fn new(windows: usize) -> Self {
+    /// Makes `windows` windows, a multiple of [`LANES`], that wait for [`WINDOW`] values each.
+    pub(crate) fn new(windows: usize) -> Self {
         Self {
             windows,
             infinite: vec![f32::INFINITY; windows],
@@ -28,8 +30,8 @@ impl SlidingMedians {
         }
     }
 
-    /// Starts over with `values(0..WINDOW)`, each of one value a window.
-    pub(super) fn fill<V: AsRef<[f32]>>(&mut self, values: impl Fn(usize) -> V) {
+    /// Starts over with `values(0..WINDOW)`, each of one value per window.
+    pub(crate) fn fill<V: AsRef<[f32]>>(&mut self, values: impl Fn(usize) -> V) {
         self.sorted.fill(f32::INFINITY);
         for index in 0..WINDOW {
             let (sorted, old) = (&mut self.sorted, &self.infinite);
@@ -39,14 +41,14 @@ impl SlidingMedians {
         }
     }
 
-    /// Replaces `old`, which have to be in their windows, by `new`.
-    pub(super) fn exchange(&mut self, old: &[f32], new: &[f32]) {
+    /// Replaces the values `old`, which must be in their windows, by `new`.
+    pub(crate) fn exchange(&mut self, old: &[f32], new: &[f32]) {
         let sorted = &mut self.sorted;
         Arch::new().dispatch(Exchange { sorted, old, new });
     }
 
     /// The median of each window.
-    pub(super) fn medians(&self) -> &[f32] {
+    pub(crate) fn medians(&self) -> &[f32] {
         let middle = WINDOW / 2 * self.windows;
         &self.sorted[middle..middle + self.windows]
     }
@@ -61,7 +63,7 @@ struct Exchange<'a> {
 impl WithSimd for Exchange<'_> {
     type Output = ();
 
-    /// Free of branches: every value goes by every rank.
+    /// Passes every value by every rank, without branches.
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let (old, _) = S::as_simd_f32s(self.old);
@@ -83,9 +85,9 @@ impl WithSimd for Exchange<'_> {
     }
 }
 
-/// The two values in the middle of the sorted list (twice the same for an odd count), whose mean is
-/// the median; `None` for an empty list. The list is reordered.
-pub(super) fn middle_two<T: Copy>(
+/// Returns the two values in the middle of the sorted list (twice the same for an odd count), whose
+/// mean is the median; `None` for an empty list. Reorders the list.
+pub(crate) fn middle_two<T: Copy>(
     values: &mut [T],
     order: impl Fn(&T, &T) -> std::cmp::Ordering,
 ) -> Option<(T, T)> {
@@ -95,11 +97,7 @@ pub(super) fn middle_two<T: Copy>(
     let (middle, is_even) = (values.len() / 2, values.len().is_multiple_of(2));
     let (below, upper, _) = values.select_nth_unstable_by(middle, &order);
     let upper = *upper;
-    let lower = if is_even {
-        below.iter().copied().max_by(order)
-    } else {
-        None
-    };
+    let lower = below.iter().copied().max_by(order).filter(|_| is_even);
     Some((lower.unwrap_or(upper), upper))
 }
 
@@ -112,7 +110,8 @@ mod tests {
     proptest! {
         #[test]
         fn sliding_equals_sorting(values in prop::collection::vec(0_u8..12, WINDOW..200)) {
-            // Few distinct values: repeated ones are the hard case. Each window has a sequence of its own.
+            // Few distinct values: repeated ones are the hard case. Each window has its own
+            // sequence.
             let lanes = |index: usize| -> [f32; LANES] {
                 std::array::from_fn(|lane| f32::from(values[(index + 7 * lane) % values.len()]))
             };

@@ -1,10 +1,10 @@
 //! Mel bank on power spectra (FEATURES section 3).
 
 /// Mel bands.
-pub(super) const BANDS: usize = 128;
+pub(crate) const BANDS: usize = 128;
 
-/// Triangles on the Slaney mel scale, each of area 1 in Hz.
-pub(super) struct MelBank {
+/// A bank of triangles on the Slaney mel scale, each of area 1 in Hz.
+pub(crate) struct MelBank {
     bands: Vec<Band>,
 }
 
@@ -14,9 +14,9 @@ struct Band {
 }
 
 impl MelBank {
-    /// Bands from 0 to `top_hz` for spectra of `bins` bins up to half of `sample_rate`. Bands that
-    /// hold no bin stay empty (FEATURES section 11.2).
-    pub(super) fn new(sample_rate: f64, bins: usize, top_hz: f64) -> Self {
+    /// Plans bands from 0 to `top_hz` for spectra of `bins` bins up to half of `sample_rate`. Bands
+    /// that hold no bin stay empty (FEATURES section 11.2).
+    pub(crate) fn new(sample_rate: f64, bins: usize, top_hz: f64) -> Self {
         let hz_per_bin = sample_rate / (2 * (bins - 1)) as f64;
         let top = hz_to_mel(top_hz);
         let edges: Vec<f64> = (0..BANDS + 2)
@@ -30,7 +30,7 @@ impl MelBank {
     }
 
     /// Power per band of one frame of magnitudes.
-    pub(super) fn power<'out>(
+    pub(crate) fn power<'out>(
         &self,
         magnitudes: &[f32],
         power: impl IntoIterator<Item = &'out mut f32>,
@@ -120,11 +120,8 @@ mod tests {
             let (low, middle, high) = (edge(band), edge(band + 1), edge(band + 2));
             for bin in 0..1_025 {
                 let hz = bin as f64 * 1.875;
-                let expected = ((hz - low) / (middle - low))
-                    .min((high - hz) / (high - middle))
-                    .max(0.0)
-                    * 2.0
-                    / (high - low);
+                let (rise, fall) = ((hz - low) / (middle - low), (high - hz) / (high - middle));
+                let expected = rise.min(fall).max(0.0) * 2.0 / (high - low);
                 let mut impulse = vec![0.0; 1_025];
                 impulse[bin] = 1.0;
                 let mut power = [0.0; BANDS];

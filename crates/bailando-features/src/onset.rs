@@ -3,16 +3,14 @@
 use std::thread;
 
 use ndarray::{Array2, ArrayRef1, ArrayViewMut2, Axis};
-use rustfft::num_complex::Complex;
 
-use super::{
-    HOP,
+use crate::{
     decibel::{Reference, to_decibels},
+    layout::{HOP, row_count},
     median::middle_two,
     mel::{BANDS, MelBank},
     padding::Padding,
-    row_count,
-    stft::{BINS, FRAME, Stft, magnitudes},
+    stft::{BINS, FRAME, MagnitudeFrames},
 };
 
 /// Rows by which the envelope is late: the difference itself, and half a frame.
@@ -21,57 +19,25 @@ const SHIFT: usize = 1 + FRAME / (2 * HOP);
 /// Rows below which a second thread is not worth its start.
 const WORTH_A_THREAD: usize = 128;
 
-/// Median rise of the mel bands between rows.
-pub(super) struct Onset {
-    /// Each takes a part of the rows, side by side.
-    analysers: [Analyser; 2],
+/// Onset strength: the median rise of the mel bands between rows.
+pub(crate) struct Onset {
+    /// One for each thread.
+    frames: [MagnitudeFrames; 2],
     bank: MelBank,
     rises: [f32; BANDS],
 }
 
-/// Magnitudes of frames.
-struct Analyser {
-    stft: Stft,
-    spectrum: Vec<Complex<f32>>,
-    magnitudes: Vec<f32>,
-}
-
-impl Analyser {
-    fn new(padding: Padding) -> Self {
-        Self {
-            stft: Stft::hann(padding),
-            spectrum: vec![Complex::default(); BINS],
-            magnitudes: vec![0.0; BINS],
-        }
-    }
-
-    /// Mel powers of the rows from `first` on.
-    fn mel(
-        &mut self,
-        bank: &MelBank,
-        signal: &[f32],
-        first: usize,
-        mut mel: ArrayViewMut2<'_, f32>,
-    ) {
-        for (row, power) in (first..).zip(mel.rows_mut()) {
-            self.stft.frame(signal, row * HOP, &mut self.spectrum);
-            magnitudes(&self.spectrum, &mut self.magnitudes);
-            bank.power(&self.magnitudes, power);
-        }
-    }
-}
-
 impl Onset {
-    pub(super) fn new(sample_rate: f64, top_hz: f64, padding: Padding) -> Self {
+    pub(crate) fn new(sample_rate: f64, top_hz: f64, padding: Padding) -> Self {
         Self {
-            analysers: [(); 2].map(|()| Analyser::new(padding)),
+            frames: [(); 2].map(|()| MagnitudeFrames::new(padding)),
             bank: MelBank::new(sample_rate, BINS, top_hz),
             rises: [0.0; BANDS],
         }
     }
 
-    /// Envelope of `T` rows.
-    pub(super) fn envelope(&mut self, percussive: &[f32]) -> Vec<f32> {
+    /// Envelope `[T]` of the percussive part.
+    pub(crate) fn envelope(&mut self, percussive: &[f32]) -> Vec<f32> {
         let rows = row_count(percussive.len());
         let mut mel = self.mel(percussive, rows);
         to_decibels(&mut mel, Reference::One);
@@ -85,16 +51,21 @@ impl Onset {
 
     fn mel(&mut self, percussive: &[f32], rows: usize) -> Array2<f32> {
         let mut mel = Array2::zeros((rows, BANDS));
-        let ([one, other], bank) = (&mut self.analysers, &self.bank);
+        let ([one, other], bank) = (&mut self.frames, &self.bank);
+        let fill = |frames: &mut MagnitudeFrames, first: usize, mut mel: ArrayViewMut2<'_, f32>| {
+            for (row, power) in (first..).zip(mel.rows_mut()) {
+                bank.power(frames.row(percussive, row), power);
+            }
+        };
         if rows < WORTH_A_THREAD {
-            one.mel(bank, percussive, 0, mel.view_mut());
+            fill(one, 0, mel.view_mut());
             return mel;
         }
         let half = rows / 2;
         let (first, second) = mel.view_mut().split_at(Axis(0), half);
         thread::scope(|scope| {
-            scope.spawn(|| other.mel(bank, percussive, half, second));
-            one.mel(bank, percussive, 0, first);
+            scope.spawn(|| fill(other, half, second));
+            fill(one, 0, first);
         });
         mel
     }

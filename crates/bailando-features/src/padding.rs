@@ -1,8 +1,8 @@
-//! What lies outside a signal or an axis.
+//! Values outside a signal or an axis.
 
-/// What the frames at both ends of a signal see outside it (FEATURES sections 2 and 11.1).
+/// The samples outside a signal, for the frames at both ends (FEATURES sections 2 and 11.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Padding {
+pub(crate) enum Padding {
     /// Silence.
     Zeros,
     /// The signal mirrored at its first and last sample, which are not repeated.
@@ -11,7 +11,7 @@ pub(super) enum Padding {
 
 impl Padding {
     /// Fills `frame` with the samples from `start` on, which may lie outside `signal`.
-    pub(super) fn fill(self, signal: &[f32], start: isize, frame: &mut [f32]) {
+    pub(crate) fn fill(self, signal: &[f32], start: isize, frame: &mut [f32]) {
         let inside = usize::try_from(start)
             .ok()
             .and_then(|first| signal.get(first..first + frame.len()));
@@ -47,7 +47,7 @@ fn mirror_at_samples(index: isize, len: usize) -> usize {
 }
 
 /// Index after mirroring between samples (`x1 x0 | x0 x1`), period `2 len`; `len` is not 0.
-pub(super) fn mirror_between_samples(index: isize, len: usize) -> usize {
+pub(crate) fn mirror_between_samples(index: isize, len: usize) -> usize {
     let folded = index.rem_euclid(2 * len as isize) as usize;
     folded.min(2 * len - 1 - folded)
 }

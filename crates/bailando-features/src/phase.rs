@@ -1,16 +1,20 @@
-//! Where a moment lies within the count, the bar and the phrase.
+//! Place of a moment within the count, the bar and the phrase.
 //!
-//! Column 53 marks beats one row at a time, two rows late at 7.5 rows a second (FEATURES section 8), and
-//! trackers find the count in one song and half of it in the next. A dancer needs to know how far the next
-//! count is, and which one it is: that is what these columns say.
+//! Column 53 marks beats one row at a time, two rows late at 7.5 rows a second (FEATURES section
+//! 8), and trackers find the count in one song and half of it in the next. A dancer needs to know
+//! how far away the next count is, and its number: these columns hold both.
 
 use std::f64::consts::TAU;
 
 use ndarray::{Array2, ArrayView2, Axis, Slice};
 
-use super::{Beats, CHROMA_COLUMNS, Rate};
+use crate::{
+    beat::Beats,
+    layout::{CHROMA_COLUMNS, Rate},
+};
 
-/// Counts per minute are brought into this octave: dancers count neither slower nor faster.
+/// Slowest counts per minute of the octave from it to its double: dancers count neither slower nor
+/// faster.
 const SLOWEST_COUNT_BPM: f64 = 130.0;
 /// Counts of a bar, and of a phrase of two bars.
 const BAR: usize = 4;
@@ -20,20 +24,22 @@ const MIN_BEATS: usize = 4;
 /// Rows on either side of a count that are compared: about one count at 180 a minute.
 const NOVELTY_ROWS: usize = 3;
 
-/// The counts of a song.
+/// The counts of a song, and the bars and phrases that they make up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BeatPhase {
     /// Seconds of each count, ascending.
     counts_s: Vec<f64>,
-    /// Usual distance of two counts in seconds: that before the first and after the last, too.
+    /// Median distance of two counts in seconds, which holds before the first and after the last as
+    /// well.
     period_s: f64,
-    /// Count of a phrase that the first one is.
+    /// Place of the first count within its phrase.
     first: usize,
 }
 
 impl BeatPhase {
-    /// Counts from beats tracked at [`Rate::Beats`]. Bars and phrases begin where the harmony of `rows`
-    /// (`[rows, 438]` at [`Rate::Conditioning`]) changes most. None without regular beats.
+    /// Finds the counts from beats tracked at [`Rate::Beats`]. Bars and phrases begin where the
+    /// harmony of `rows` (`[rows, 438]` at [`Rate::Conditioning`]) changes most. None without
+    /// regular beats.
     #[must_use]
     pub fn find(beats: &Beats, rows: ArrayView2<'_, f32>) -> Option<Self> {
         let beats_s: Vec<f64> = beats.seconds().collect();
@@ -59,8 +65,8 @@ impl BeatPhase {
         })
     }
 
-    /// Counts since the start of a phrase before the song, at `seconds` from the song's start:
-    /// 8 times a whole number at the start of a phrase.
+    /// Returns the counts since the start of a phrase before the song, at `seconds` from the song's
+    /// start: a multiple of 8 at the start of a phrase.
     #[must_use]
     pub fn at(&self, seconds: f64) -> f64 {
         let after = self.counts_s.partition_point(|&count| count <= seconds);
@@ -77,8 +83,8 @@ impl BeatPhase {
         counts + self.first as f64
     }
 
-    /// Sine and cosine of the place within each of `periods` (in counts), `[rows, 2 periods]`: row `k` at
-    /// `k` conditioning rows after `start_s`.
+    /// Returns sine and cosine of the place within each of `periods` (in counts), `[rows, 2
+    /// periods]`; row `k` lies `k` conditioning rows after `start_s`.
     #[must_use]
     pub fn columns(&self, rows: usize, start_s: f64, periods: &[u32]) -> Array2<f32> {
         let mut columns = Array2::zeros((rows, 2 * periods.len()));
@@ -87,19 +93,17 @@ impl BeatPhase {
             let angles = periods
                 .iter()
                 .map(|&period| TAU * counts / f64::from(period.max(1)));
-            for (value, angle) in values
-                .iter_mut()
-                .zip(angles.flat_map(|angle| [angle.sin(), angle.cos()]))
-            {
-                *value = angle as f32;
+            let waves = angles.flat_map(|angle| [angle.sin(), angle.cos()]);
+            for (value, wave) in values.iter_mut().zip(waves) {
+                *value = wave as f32;
             }
         }
         columns
     }
 }
 
-/// A song's feature rows `[rows, 438]` with the columns of `periods` behind them, its `beats` tracked at
-/// [`Rate::Beats`].
+/// Appends the columns of `periods` to a song's feature rows `[rows, 438]`; its `beats` were
+/// tracked at [`Rate::Beats`].
 #[must_use]
 pub fn with_counts_of(beats: &Beats, rows: Array2<f32>, periods: &[u32]) -> Array2<f32> {
     if periods.is_empty() {
@@ -109,8 +113,8 @@ pub fn with_counts_of(beats: &Beats, rows: Array2<f32>, periods: &[u32]) -> Arra
     with_counts(rows, counts.as_ref(), 0.0, periods)
 }
 
-/// Feature rows `[rows, 438]` that begin `start_s` after the song did, with the columns of `periods`
-/// behind them; zeros where there are no counts. `rows` as they are without periods.
+/// Appends the columns of `periods` to feature rows `[rows, 438]` that begin `start_s` after the
+/// song did: zeros without counts, nothing without periods.
 #[must_use]
 pub fn with_counts(
     rows: Array2<f32>,
@@ -121,19 +125,16 @@ pub fn with_counts(
     if periods.is_empty() {
         return rows;
     }
-    let length = rows.nrows();
     let columns = match counts {
-        Some(counts) => counts.columns(length, start_s, periods),
-        None => Array2::zeros((length, 2 * periods.len())),
+        Some(counts) => counts.columns(rows.nrows(), start_s, periods),
+        None => Array2::zeros((rows.nrows(), 2 * periods.len())),
     };
     let width = rows.ncols();
-    Array2::from_shape_fn(
-        (length, width + columns.ncols()),
-        |(row, column)| match column.checked_sub(width) {
-            None => rows[[row, column]],
-            Some(column) => columns[[row, column]],
-        },
-    )
+    let shape = (rows.nrows(), width + columns.ncols());
+    Array2::from_shape_fn(shape, |(row, column)| match column.checked_sub(width) {
+        None => rows[[row, column]],
+        Some(column) => columns[[row, column]],
+    })
 }
 
 fn median_distance(times: &[f64]) -> f64 {
@@ -142,16 +143,14 @@ fn median_distance(times: &[f64]) -> f64 {
     distances.get(distances.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// The beats, divided or thinned by powers of two until they are counts.
+/// Divides or thins the beats by powers of two until they are counts.
 fn in_octave(beats_s: &[f64], beat_s: f64) -> Vec<f64> {
     let longest = 60.0 / SLOWEST_COUNT_BPM;
     let (mut counts, mut distance) = (beats_s.to_vec(), beat_s);
     while distance > longest {
-        let halves = counts
-            .windows(2)
-            .flat_map(|pair| [pair[0], (pair[0] + pair[1]) / 2.0]);
-        let last = counts.last().copied();
-        counts = halves.chain(last).collect();
+        let pairs = counts.windows(2);
+        let halves = pairs.flat_map(|pair| [pair[0], (pair[0] + pair[1]) / 2.0]);
+        counts = halves.chain(counts.last().copied()).collect();
         distance /= 2.0;
     }
     while distance <= longest / 2.0 {
@@ -161,30 +160,26 @@ fn in_octave(beats_s: &[f64], beat_s: f64) -> Vec<f64> {
     counts
 }
 
-/// Which count of a phrase the first one is: the bar starts where changes of harmony add up to most,
-/// the phrase at the stronger of its two bars.
+/// Place of the first count within its phrase: the bar starts where changes of harmony add up to
+/// most, the phrase at the stronger of its two bars.
 fn first_count(counts_s: &[f64], chroma: ArrayView2<'_, f32>) -> usize {
     let mut changes = [0.0; PHRASE];
     for (place, &count) in counts_s.iter().enumerate() {
         changes[place % PHRASE] += novelty(chroma, count);
     }
     let bar = |place: usize| changes[place] + changes[place + BAR];
-    let bar_start = (0..BAR)
-        .max_by(|&a, &b| bar(a).total_cmp(&bar(b)))
-        .unwrap_or(0);
-    let start = if changes[bar_start] >= changes[bar_start + BAR] {
-        bar_start
-    } else {
-        bar_start + BAR
-    };
+    let start = (0..BAR).max_by(|&a, &b| bar(a).total_cmp(&bar(b)));
+    let mut start = start.unwrap_or(0);
+    if changes[start] < changes[start + BAR] {
+        start += BAR;
+    }
     (PHRASE - start) % PHRASE
 }
 
-/// How different the harmony is after a moment: 1 less the cosine of the mean chroma on both sides.
+/// Change of harmony at a moment: 1 less the cosine of the mean chroma on both sides.
 fn novelty(chroma: ArrayView2<'_, f32>, seconds: f64) -> f64 {
-    let row = (seconds * Rate::Conditioning.rows_per_second())
-        .round()
-        .max(0.0) as usize;
+    let row = (seconds * Rate::Conditioning.rows_per_second()).round();
+    let row = row.max(0.0) as usize;
     let sum = |from: usize, to: usize| {
         let mut sum = [0.0_f64; 12];
         for row in from..to.min(chroma.nrows()) {
@@ -208,12 +203,13 @@ fn novelty(chroma: ArrayView2<'_, f32>, seconds: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::layout::COLUMNS;
 
     const ROWS: usize = 225;
 
     /// Rows whose harmony changes every `bar_s`, first at `first_s`.
     fn rows(first_s: f64, bar_s: f64) -> Array2<f32> {
-        Array2::from_shape_fn((ROWS, super::super::COLUMNS), |(row, column)| {
+        Array2::from_shape_fn((ROWS, COLUMNS), |(row, column)| {
             let seconds = row as f64 / Rate::Conditioning.rows_per_second();
             let bar = ((seconds - first_s) / bar_s).floor().rem_euclid(3.0) as usize;
             let note = column.checked_sub(CHROMA_COLUMNS.start);
@@ -247,10 +243,8 @@ mod tests {
                 let phase = counts.at(seconds);
                 assert!(distance(phase, 4.0) < 0.15, "{period} {first}: {phase}");
                 let later = counts.at(seconds + 1.0 / 3.0);
-                assert!(
-                    (later - phase - 1.0).abs() < 0.1,
-                    "{period}: {phase} {later}"
-                );
+                let step = later - phase;
+                assert!((step - 1.0).abs() < 0.1, "{period}: {phase} {later}");
             }
             // Before the first and after the last beat as well.
             assert!(distance(counts.at(0.5 - 4.0 / 3.0), 4.0) < 0.15);
@@ -282,29 +276,16 @@ mod tests {
     #[test]
     fn without_regular_beats_there_are_zeros() {
         let rows = rows(0.5, 1.0);
-        let few = Beats {
-            frames: vec![10, 20, 30],
-            ..Beats::default()
-        };
-        let stuck = Beats {
-            frames: vec![10; 9],
-            ..Beats::default()
-        };
-        // Thinned into the octave, one count is left of these.
-        let brief = Beats {
-            frames: vec![10, 11, 12, 13],
-            ..Beats::default()
-        };
-        for beats in [Beats::default(), few, stuck, brief] {
+        // The last ones are thinned into the octave to a single count.
+        for frames in [vec![], vec![10, 20, 30], vec![10; 9], vec![10, 11, 12, 13]] {
+            let tempo_bpm = 0.0;
+            let beats = Beats { tempo_bpm, frames };
             assert_eq!(BeatPhase::find(&beats, rows.view()), None);
         }
         let wide = with_counts(rows.clone(), None, 0.0, &[1, 2, 4]);
-        assert_eq!(wide.dim(), (ROWS, super::super::COLUMNS + 6));
-        assert!(
-            wide.slice_axis(Axis(1), Slice::from(-6..))
-                .iter()
-                .all(|&value| value == 0.0)
-        );
+        assert_eq!(wide.dim(), (ROWS, COLUMNS + 6));
+        let added = wide.slice_axis(Axis(1), Slice::from(-6..));
+        assert!(added.iter().all(|&value| value == 0.0));
         assert_eq!(with_counts(rows.clone(), None, 0.0, &[]), rows);
     }
 }

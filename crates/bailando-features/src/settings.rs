@@ -1,24 +1,28 @@
 //! What differs between rates and profiles, resolved once (FEATURES section 11).
 
-use super::{
-    Profile, Rate, beat::BeatRules, cqt::CqtSettings, decimate::Decimation, padding::Padding,
+use crate::{
+    beat::BeatRules,
+    cqt::CqtSettings,
+    decimate::Decimation,
+    layout::{Profile, Rate},
+    padding::Padding,
 };
 
 /// Settings of every stage.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Settings {
-    pub(super) sample_rate: f64,
-    pub(super) rows_per_second: f64,
-    pub(super) padding: Padding,
-    /// Whether separation leaves the samples behind the middle of the last frame silent.
-    pub(super) silent_tail: bool,
-    pub(super) onset_top_hz: f64,
-    pub(super) cqt: CqtSettings,
-    pub(super) beat_rules: BeatRules,
+pub(crate) struct Settings {
+    pub(crate) sample_rate: f64,
+    pub(crate) rows_per_second: f64,
+    pub(crate) padding: Padding,
+    /// Whether separation leaves the samples after the middle of the last frame silent.
+    pub(crate) silent_tail: bool,
+    pub(crate) onset_top_hz: f64,
+    pub(crate) cqt: CqtSettings,
+    pub(crate) beat_rules: BeatRules,
 }
 
 impl Settings {
-    pub(super) fn new(rate: Rate, profile: Profile) -> Self {
+    pub(crate) fn new(rate: Rate, profile: Profile) -> Self {
         let sample_rate = f64::from(rate.hz());
         let octaves = match rate {
             Rate::Conditioning => 5,

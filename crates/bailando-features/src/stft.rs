@@ -4,15 +4,15 @@ use std::f64::consts::TAU;
 
 use rustfft::num_complex::Complex;
 
-use super::{fft::ForwardFft, padding::Padding};
+use crate::{fft::ForwardFft, layout::HOP, padding::Padding};
 
 /// Samples of a frame of the mel, separation, tuning and onset stages.
-pub(super) const FRAME: usize = 2_048;
+pub(crate) const FRAME: usize = 2_048;
 /// Bins of such a frame.
-pub(super) const BINS: usize = FRAME / 2 + 1;
+pub(crate) const BINS: usize = FRAME / 2 + 1;
 
-/// One frame at a time, centred on a sample; spectra are stored as f32.
-pub(super) struct Stft {
+/// A transform of one frame at a time, centred on a sample; spectra are stored as f32.
+pub(crate) struct Stft {
     window: Vec<f64>,
     padding: Padding,
     samples: Vec<f32>,
@@ -21,12 +21,12 @@ pub(super) struct Stft {
 
 impl Stft {
     /// Frames of [`FRAME`] samples under a periodic Hann window.
-    pub(super) fn hann(padding: Padding) -> Self {
+    pub(crate) fn hann(padding: Padding) -> Self {
         Self::with_window(hann_periodic(FRAME), padding)
     }
 
     /// Frames of `n` samples as they are.
-    pub(super) fn rectangular(n: usize, padding: Padding) -> Self {
+    pub(crate) fn rectangular(n: usize, padding: Padding) -> Self {
         Self::with_window(vec![1.0; n], padding)
     }
 
@@ -40,16 +40,11 @@ impl Stft {
     }
 
     /// Spectrum (`n / 2 + 1` bins, unscaled) of the frame whose middle is at sample `centre`.
-    pub(super) fn frame(&mut self, signal: &[f32], centre: usize, spectrum: &mut [Complex<f32>]) {
+    pub(crate) fn frame(&mut self, signal: &[f32], centre: usize, spectrum: &mut [Complex<f32>]) {
         let start = centre as isize - (self.window.len() / 2) as isize;
         self.padding.fill(signal, start, &mut self.samples);
-        for ((input, &sample), &weight) in self
-            .fft
-            .input()
-            .iter_mut()
-            .zip(&self.samples)
-            .zip(&self.window)
-        {
+        let weighted = self.samples.iter().zip(&self.window);
+        for (input, (&sample, &weight)) in self.fft.input().iter_mut().zip(weighted) {
             *input = f64::from(sample) * weight;
         }
         for (bin, exact) in spectrum.iter_mut().zip(self.fft.run()) {
@@ -58,16 +53,40 @@ impl Stft {
     }
 }
 
-/// `|X|`, rounded once to f32.
-pub(super) fn magnitudes(spectrum: &[Complex<f32>], magnitudes: &mut [f32]) {
+/// The magnitudes of one row's frame at a time, under a Hann window.
+pub(crate) struct MagnitudeFrames {
+    stft: Stft,
+    spectrum: Vec<Complex<f32>>,
+    magnitudes: Vec<f32>,
+}
+
+impl MagnitudeFrames {
+    pub(crate) fn new(padding: Padding) -> Self {
+        Self {
+            stft: Stft::hann(padding),
+            spectrum: vec![Complex::default(); BINS],
+            magnitudes: vec![0.0; BINS],
+        }
+    }
+
+    /// Magnitudes `[1025]` of the frame of feature row `row`.
+    pub(crate) fn row(&mut self, signal: &[f32], row: usize) -> &[f32] {
+        self.stft.frame(signal, row * HOP, &mut self.spectrum);
+        magnitudes(&self.spectrum, &mut self.magnitudes);
+        &self.magnitudes
+    }
+}
+
+/// Writes `|X|`, rounded once to f32.
+pub(crate) fn magnitudes(spectrum: &[Complex<f32>], magnitudes: &mut [f32]) {
     for (magnitude, bin) in magnitudes.iter_mut().zip(spectrum) {
         let (re, im) = (f64::from(bin.re), f64::from(bin.im));
         *magnitude = (re * re + im * im).sqrt() as f32;
     }
 }
 
-/// `0.5 - 0.5 cos(2 pi i / n)`.
-pub(super) fn hann_periodic(n: usize) -> Vec<f64> {
+/// The window `0.5 - 0.5 cos(2 pi i / n)`.
+pub(crate) fn hann_periodic(n: usize) -> Vec<f64> {
     (0..n)
         .map(|i| 0.5 - 0.5 * (TAU * i as f64 / n as f64).cos())
         .collect()

@@ -1,14 +1,15 @@
 //! Local autocorrelation of the onset envelope (FEATURES section 9).
 
+use bailando_core::CancelToken;
 use rustfft::num_complex::Complex;
 
-use super::{
+use crate::{
     fft::{ForwardFft, InverseFft},
     stft::hann_periodic,
 };
 
 /// Autocorrelation under a window that slides over the envelope row by row.
-pub(super) struct Tempogram {
+pub(crate) struct Tempogram {
     window: Vec<f64>,
     forward: ForwardFft,
     inverse: InverseFft,
@@ -18,8 +19,8 @@ pub(super) struct Tempogram {
 }
 
 impl Tempogram {
-    /// Window and number of lags: `width` rows, even.
-    pub(super) fn new(width: usize) -> Self {
+    /// Plans a window of `width` rows (even) and as many lags.
+    pub(crate) fn new(width: usize) -> Self {
         // Long enough that the ends do not wrap into each other.
         let transform_length = 2 * width;
         Self {
@@ -32,22 +33,22 @@ impl Tempogram {
         }
     }
 
-    /// Shows each row's lags `0..width`, relative to the largest, to `visit`, which says whether to go on.
-    pub(super) fn for_each_row(
+    /// Shows each row's lags `0..width`, relative to the largest, to `visit`, until `cancel` is
+    /// triggered.
+    pub(crate) fn for_each_row(
         &mut self,
         onset: &[f32],
-        mut visit: impl FnMut(usize, &[f64]) -> bool,
+        cancel: &CancelToken,
+        mut visit: impl FnMut(usize, &[f64]),
     ) {
         self.pad(onset);
-        for row in 0..onset.len() {
+        for row in (0..onset.len()).take_while(|_| !cancel.is_cancelled()) {
             self.correlate(row);
-            if !visit(row, &self.lags) {
-                return;
-            }
+            visit(row, &self.lags);
         }
     }
 
-    /// Straight ramps from and to silence at both ends, each half a window long.
+    /// Puts straight ramps from and to silence at both ends, each half a window long.
     fn pad(&mut self, onset: &[f32]) {
         let ramp = self.window.len() / 2;
         let first = onset.first().copied().map_or(0.0, f64::from);
@@ -63,11 +64,8 @@ impl Tempogram {
         let width = self.window.len();
         let input = self.forward.input();
         input.fill(0.0);
-        for ((input, value), weight) in input
-            .iter_mut()
-            .zip(&self.padded[row..row + width])
-            .zip(&self.window)
-        {
+        let weighted = self.padded[row..row + width].iter().zip(&self.window);
+        for (input, (value, weight)) in input.iter_mut().zip(weighted) {
             *input = value * weight;
         }
         for (power, bin) in self.inverse.input().iter_mut().zip(self.forward.run()) {
@@ -78,10 +76,8 @@ impl Tempogram {
         for (lag, value) in self.lags.iter_mut().zip(correlation) {
             *lag = value * scale;
         }
-        let largest = self
-            .lags
-            .iter()
-            .fold(0.0_f64, |max, lag| max.max(lag.abs()));
+        let sizes = self.lags.iter().map(|lag| lag.abs());
+        let largest = sizes.fold(0.0_f64, f64::max);
         if largest >= f64::MIN_POSITIVE {
             for lag in &mut self.lags {
                 *lag /= largest;
@@ -96,15 +92,14 @@ mod tests {
 
     #[test]
     fn every_row_equals_the_direct_autocorrelation() {
-        let onset: Vec<f32> = (0..90)
-            .map(|i| {
-                if i % 7 == 3 {
-                    2.0 + (i as f32).sin()
-                } else {
-                    0.1
-                }
-            })
-            .collect();
+        let strength = |i: usize| {
+            if i % 7 == 3 {
+                2.0 + (i as f32).sin()
+            } else {
+                0.1
+            }
+        };
+        let onset: Vec<f32> = (0..90).map(strength).collect();
         for width in [60, 384] {
             let half = width / 2;
             let padded = |i: usize| {
@@ -118,7 +113,7 @@ mod tests {
             };
             let window = hann_periodic(width);
             let mut rows = 0;
-            Tempogram::new(width).for_each_row(&onset, |row, lags| {
+            Tempogram::new(width).for_each_row(&onset, &CancelToken::new(), |row, lags| {
                 rows += 1;
                 let frame: Vec<f64> = (0..width).map(|n| padded(row + n) * window[n]).collect();
                 let direct: Vec<f64> = (0..width)
@@ -129,7 +124,6 @@ mod tests {
                     let expected = direct[lag] / direct[0];
                     assert!((value - expected).abs() < 1e-12, "row {row}, lag {lag}");
                 }
-                true
             });
             assert_eq!(rows, 90);
         }
@@ -137,9 +131,8 @@ mod tests {
 
     #[test]
     fn silence_stays_zero() {
-        Tempogram::new(60).for_each_row(&[0.0; 5], |_, lags| {
+        Tempogram::new(60).for_each_row(&[0.0; 5], &CancelToken::new(), |_, lags| {
             assert!(lags.iter().all(|&lag| lag == 0.0));
-            true
         });
     }
 }

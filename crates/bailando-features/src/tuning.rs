@@ -1,12 +1,12 @@
-//! How far the music is off the 36-tone scale on A 440 (FEATURES section 5).
+//! Deviation of the music from the 36-tone scale on A 440 (FEATURES section 5).
 //!
-//! The result is the fullest bin of a histogram and wins by a handful of counts, so every value is
+//! The result is the fullest bin of a histogram, often by a handful of entries, so every value is
 //! rounded to f32 exactly where the reference stores one.
 
-use super::median::middle_two;
+use crate::median::middle_two;
 
 /// CQT bins per octave; the tuning is a fraction of one.
-pub(super) const BINS_PER_OCTAVE: usize = 36;
+pub(crate) const BINS_PER_OCTAVE: usize = 36;
 
 const LOWEST_HZ: f64 = 150.0;
 const HIGHEST_HZ: f64 = 4_000.0;
@@ -14,8 +14,9 @@ const THRESHOLD: f32 = 0.1;
 const HISTOGRAM_BINS: usize = 100;
 const LOWEST_A_HZ: f32 = 27.5;
 
-/// Collects spectral peaks frame by frame, then gives one number for the clip.
-pub(super) struct Tuner {
+/// Estimator of the tuning: collects spectral peaks frame by frame, then gives one number for the
+/// clip.
+pub(crate) struct Tuner {
     hz_per_bin: f64,
     candidate_bins: std::ops::Range<usize>,
     pitches: Vec<f32>,
@@ -24,8 +25,8 @@ pub(super) struct Tuner {
 }
 
 impl Tuner {
-    /// For magnitude frames of `bins` bins up to half of `sample_rate`.
-    pub(super) fn new(sample_rate: f64, bins: usize) -> Self {
+    /// Plans for magnitude frames of `bins` bins up to half of `sample_rate`.
+    pub(crate) fn new(sample_rate: f64, bins: usize) -> Self {
         let hz_per_bin = sample_rate / (2 * (bins - 1)) as f64;
         let highest = HIGHEST_HZ.min(sample_rate / 2.0);
         let first = (LOWEST_HZ / hz_per_bin).ceil() as usize;
@@ -40,32 +41,27 @@ impl Tuner {
         }
     }
 
-    /// Forgets the last clip.
-    pub(super) fn start(&mut self) {
+    /// Clears the peaks of the previous clip.
+    pub(crate) fn start(&mut self) {
         self.pitches.clear();
         self.peak_magnitudes.clear();
     }
 
-    /// Notes the peaks of one frame of magnitudes.
-    pub(super) fn observe(&mut self, magnitudes: &[f32]) {
+    /// Adds the peaks of one frame of magnitudes.
+    pub(crate) fn observe(&mut self, magnitudes: &[f32]) {
         let threshold = THRESHOLD * magnitudes.iter().copied().fold(0.0, f32::max);
-        let audible = |bin: usize| {
-            let magnitude = magnitudes[bin];
-            if magnitude > threshold {
-                magnitude
-            } else {
-                0.0
-            }
+        let audible = |bin: usize| match magnitudes[bin] > threshold {
+            true => magnitudes[bin],
+            false => 0.0,
         };
         for bin in self.candidate_bins.clone() {
             let here = audible(bin);
             if here > audible(bin - 1) && here >= audible(bin + 1) {
-                let (below, peak, above) =
-                    (magnitudes[bin - 1], magnitudes[bin], magnitudes[bin + 1]);
+                let [below, peak, above] = [bin - 1, bin, bin + 1].map(|bin| magnitudes[bin]);
                 let shift = parabola_shift(below, peak, above);
                 let slope = (above - below) / 2.0;
-                self.pitches
-                    .push(((bin as f64 + f64::from(shift)) * self.hz_per_bin) as f32);
+                let hz = (bin as f64 + f64::from(shift)) * self.hz_per_bin;
+                self.pitches.push(hz as f32);
                 self.peak_magnitudes.push(peak + 0.5 * slope * shift);
             }
         }
@@ -73,7 +69,7 @@ impl Tuner {
 
     /// Tuning in fractions of a bin of [`BINS_PER_OCTAVE`], a multiple of 0.01 in [-0.5, 0.5); 0
     /// without any peak.
-    pub(super) fn estimate(&mut self) -> f64 {
+    pub(crate) fn estimate(&mut self) -> f64 {
         self.scratch.clone_from(&self.peak_magnitudes);
         let Some((lower, upper)) = middle_two(&mut self.scratch, f32::total_cmp) else {
             return 0.0;
@@ -95,10 +91,9 @@ impl Tuner {
 fn parabola_shift(below: f32, peak: f32, above: f32) -> f32 {
     let curvature = f64::from(above + below) - 2.0 * f64::from(peak);
     let slope = f64::from(above - below) / 2.0;
-    if slope.abs() >= curvature.abs() {
-        0.0
-    } else {
-        (-slope / curvature) as f32
+    match slope.abs() >= curvature.abs() {
+        true => 0.0,
+        false => (-slope / curvature) as f32,
     }
 }
 
@@ -107,10 +102,9 @@ fn deviation(pitch: f32) -> f32 {
     let octaves = f64::from(pitch / LOWEST_A_HZ).log2() as f32;
     let tones = BINS_PER_OCTAVE as f32 * octaves;
     let fraction = tones - tones.floor();
-    if fraction >= 0.5 {
-        fraction - 1.0
-    } else {
-        fraction
+    match fraction >= 0.5 {
+        true => fraction - 1.0,
+        false => fraction,
     }
 }
 
@@ -148,10 +142,8 @@ mod tests {
                 .collect();
             tuner.observe(&frame);
             let got = tuner.estimate();
-            assert!(
-                (got - f64::from(hundredths) / 100.0).abs() < 0.0101,
-                "{got}"
-            );
+            let error = got - f64::from(hundredths) / 100.0;
+            assert!(error.abs() < 0.0101, "{got}");
         }
     }
 

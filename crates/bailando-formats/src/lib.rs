@@ -28,7 +28,8 @@
 //!     warnings: Vec::new(),
 //!     continuation: None,
 //! };
-//! let json: serde_json::Value = serde_json::from_slice(&to_json(&motion, &JsonOptions::default())?)?;
+//! let bytes = to_json(&motion, &JsonOptions::default())?;
+//! let json: serde_json::Value = serde_json::from_slice(&bytes)?;
 //! assert_eq!(json["positions"][0][0][1], 1.0);
 //! let bvh = to_bvh(&motion, BvhUnit::Metre)?;
 //! assert!(bvh.ends_with("0.000000 1.000000 0.000000 0.0000 0.0000 0.0000\n"));

@@ -82,6 +82,11 @@ impl KvCache {
     /// # Panics
     /// For rows that do not exist.
     pub fn copy(&mut self, from: Range<usize>, to: usize) {
+        let rows = self.rows();
+        assert!(
+            from.start <= from.end && from.end <= rows && to + from.len() <= rows,
+            "rows {from:?} cannot be copied to row {to} of a cache of {rows}"
+        );
         let size = self.shape.size();
         self.filled.copy_within(from.clone(), to);
         for numbers in self.layers.iter_mut().flatten() {
@@ -252,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "range")]
+    #[should_panic(expected = "rows 0..2 cannot be copied to row 1 of a cache of 2")]
     fn a_copy_beyond_the_rows_is_a_defect() {
         KvCache::new(2, 1, SHAPE).copy(0..2, 1);
     }

@@ -5,8 +5,8 @@ use utoipa::ToSchema;
 
 use super::Vocabulary;
 
-/// Codes of each half that are never drawn: poses that a dancer cannot hold alone, say. Given codes, and those of a
-/// dance that is gone on with, may be among them.
+/// Codes of each half that are never drawn: poses that a dancer cannot hold alone, say. Given
+/// codes, and those of a dance that is gone on with, may be among them.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SuppressedCodes {

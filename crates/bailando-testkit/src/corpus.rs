@@ -1,4 +1,4 @@
-//! Files of a corpus and what is done with them. Used by the tests of both packages.
+//! The corpora of the fuzz targets as tests on any compiler.
 
 use std::{fs, path::Path};
 
@@ -9,7 +9,7 @@ pub struct Corpus {
     files: Vec<(String, Vec<u8>)>,
 }
 
-/// A change of a file, as a fuzzer makes them.
+/// A change of a file, such as a fuzzer makes.
 #[derive(Clone, Debug)]
 enum Edit {
     Set(Index, u8),
@@ -21,7 +21,7 @@ enum Edit {
 }
 
 impl Corpus {
-    /// All files of `target`, by name.
+    /// Reads all files of `target`, ordered by name.
     pub fn read(folder: &Path, target: &str) -> Self {
         let entries = fs::read_dir(folder.join(target)).unwrap();
         let mut files: Vec<(String, Vec<u8>)> = entries
@@ -36,7 +36,8 @@ impl Corpus {
         Self { files }
     }
 
-    /// Holds every file to its name, then tries `cases` mutations.
+    /// Checks that files named `good-` are accepted and those named `bad-` are not, then tries
+    /// `cases` mutations.
     pub fn run(&self, cases: u32, accepts: impl Fn(&[u8]) -> bool) {
         for (name, bytes) in &self.files {
             let accepted = accepts(bytes);

@@ -1,5 +1,5 @@
 //! Motions for integration tests. Unit tests of `bailando-motion` and `bailando-formats` cannot use
-//! them: to them, these types are another crate's.
+//! them: their own types differ from those that this crate was built with.
 
 use std::{
     path::{Path, PathBuf},
@@ -10,17 +10,19 @@ use bailando_formats::{Codes, GeneratedMotion, MusicInfo, Timings};
 use bailando_motion::{FinishOptions, Skeleton, finish};
 use ndarray::{Array2, Array3};
 
-/// The skeleton of the motion that models are trained on.
+use crate::arrays::load;
+
+/// Returns the skeleton of the motion that models are trained on.
 pub fn skeleton() -> Skeleton {
     serde_json::from_str(include_str!("../../../tests/fixtures/motion/skeleton.json")).unwrap()
 }
 
-/// A file of `tests/fixtures/model`.
+/// Reads a float32 matrix of `tests/fixtures/model`.
 pub fn fixture(name: &str) -> Array2<f32> {
-    ndarray_npy::read_npy(crate::fixture("model").join(name)).unwrap()
+    load(&crate::fixture("model").join(name))
 }
 
-/// All recordings in the folder of a data set.
+/// Reads all recordings in the folder of a data set.
 pub fn recordings(folder: &Path) -> Vec<(PathBuf, Array3<f32>)> {
     let mut paths: Vec<PathBuf> = std::fs::read_dir(folder)
         .unwrap()
@@ -29,14 +31,11 @@ pub fn recordings(folder: &Path) -> Vec<(PathBuf, Array3<f32>)> {
         .collect();
     paths.sort();
     assert!(!paths.is_empty(), "no motions in {}", folder.display());
-    let read = |path: PathBuf| {
-        let motion: Array3<f32> = ndarray_npy::read_npy(&path).unwrap();
-        (path, motion)
-    };
+    let read = |path: PathBuf| (path.clone(), load(&path));
     paths.into_iter().map(read).collect()
 }
 
-/// What a perfect decoder would put out for a recording: root velocity in columns 0..3, the other
+/// Returns a perfect decoder's output for a recording: root velocity in columns 0..3, the other
 /// joints relative to the root.
 pub fn decoded_from(positions: &Array3<f32>) -> Array2<f32> {
     let (frames, joints, _) = positions.dim();
@@ -51,17 +50,15 @@ pub fn decoded_from(positions: &Array3<f32>) -> Array2<f32> {
     })
 }
 
-/// Mean and largest distance of joints, metres.
+/// Returns mean and largest distance of joints, metres.
 pub fn distances(a: &Array3<f32>, b: &Array3<f32>) -> (f64, f64) {
     assert_eq!(a.dim(), b.dim());
     let (mut sum, mut largest) = (0.0_f64, 0.0_f64);
     for (pose_a, pose_b) in a.outer_iter().zip(b.outer_iter()) {
         for (joint_a, joint_b) in pose_a.outer_iter().zip(pose_b.outer_iter()) {
-            let squares = joint_a
-                .iter()
-                .zip(&joint_b)
-                .map(|(a, b)| f64::from(a - b).powi(2));
-            let distance = squares.sum::<f64>().sqrt();
+            let axes = joint_a.iter().zip(&joint_b);
+            let squares: f64 = axes.map(|(a, b)| f64::from(a - b).powi(2)).sum();
+            let distance = squares.sqrt();
             sum += distance;
             largest = largest.max(distance);
         }
@@ -70,7 +67,7 @@ pub fn distances(a: &Array3<f32>, b: &Array3<f32>) -> (f64, f64) {
     (sum / (frames * joints) as f64, largest)
 }
 
-/// A dance around a motion that looks like a decoder's output.
+/// Returns a generated dance whose decoder gave `decoded`.
 pub fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> GeneratedMotion {
     let done = finish(decoded.view(), &skeleton(), options).unwrap();
     let codes = decoded.dim().0 as u32 / 8;
@@ -98,13 +95,11 @@ pub fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> GeneratedMoti
     }
 }
 
-/// A reference folder of six dances, and generated ones named like three of them.
+/// Writes a folder of six reference motions and one of three generated ones, named like three of
+/// them.
 pub fn folders() -> (tempfile::TempDir, PathBuf, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
-    let (reference, generated) = (
-        folder.path().join("reference"),
-        folder.path().join("generated"),
-    );
+    let [reference, generated] = ["reference", "generated"].map(|name| folder.path().join(name));
     for (path, count, offset) in [(&reference, 6, 0.0), (&generated, 3, 0.25)] {
         std::fs::create_dir(path).unwrap();
         for at in 0..count {
@@ -120,7 +115,7 @@ pub fn write_motion(path: &Path, positions: &Array3<f32>) {
     ndarray_npy::write_npy(path, positions).unwrap();
 }
 
-/// A dance of sways, one per joint and axis, at some pace.
+/// Returns a motion of sways, one per joint and axis, at some pace.
 pub fn sway(frames: usize, pace: f32) -> Array3<f32> {
     Array3::from_shape_fn((frames, 24, 3), |(frame, joint, axis)| {
         let t = frame as f32 / 60.0;

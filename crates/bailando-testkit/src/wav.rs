@@ -1,17 +1,12 @@
-//! Small writers of audio files for the tests: nothing here needs a codec.
+//! Small writers of audio files, without a codec.
 
-/// A WAV file with the given header fields and data, whether they make sense or not.
+/// Returns a WAV file with the given header fields and data, whether they make sense or not.
 pub fn wav(channels: u16, rate: u32, bits: u16, data: &[u8]) -> Vec<u8> {
-    wav_declaring(
-        channels,
-        rate,
-        bits,
-        data,
-        u32::try_from(data.len()).unwrap(),
-    )
+    let declared = u32::try_from(data.len()).unwrap();
+    wav_declaring(channels, rate, bits, data, declared)
 }
 
-/// A WAV file that declares `declared` bytes of data.
+/// Returns a WAV file that declares `declared` bytes of data.
 pub fn wav_declaring(channels: u16, rate: u32, bits: u16, data: &[u8], declared: u32) -> Vec<u8> {
     let block = channels.saturating_mul(bits / 8);
     let mut file = b"RIFF".to_vec();
@@ -30,10 +25,16 @@ pub fn wav_declaring(channels: u16, rate: u32, bits: u16, data: &[u8], declared:
     file
 }
 
-/// A 16-bit WAV file of `samples`, channels interleaved.
+/// Returns a 16-bit WAV file of `samples`, channels interleaved.
 pub fn wav16(channels: u16, rate: u32, samples: &[i16]) -> Vec<u8> {
     let data: Vec<u8> = samples.iter().flat_map(|s| s.to_le_bytes()).collect();
     wav(channels, rate, 16, &data)
+}
+
+/// Returns a 16-bit mono WAV file of `samples`, rounded and clipped to full scale.
+pub fn mono(rate: u32, samples: &[f32]) -> Vec<u8> {
+    let rounded = |sample: &f32| (sample * 32_768.0).round().clamp(-32_768.0, 32_767.0) as i16;
+    wav16(1, rate, &samples.iter().map(rounded).collect::<Vec<_>>())
 }
 
 /// A FLAC file of digital silence: every subframe of every frame is one CONSTANT value.
@@ -44,14 +45,14 @@ pub struct SilentFlac {
     pub channels: u8,
     /// Samples of a channel.
     pub frames: u64,
-    /// Whether the header declares the length (0 means unknown).
+    /// Samples of a channel that the header declares (0 means unknown).
     pub declared: u64,
 }
 
 impl SilentFlac {
     const BLOCK: u64 = 65_535;
 
-    /// The file.
+    /// Returns the file.
     pub fn bytes(&self) -> Vec<u8> {
         let mut file = b"fLaC".to_vec();
         // The last metadata block, STREAMINFO, 34 bytes.
@@ -79,7 +80,7 @@ impl SilentFlac {
 
     fn frame(&self, number: u32, block: u16) -> Vec<u8> {
         let mut frame = vec![0xff, 0xf8];
-        // Block size in 16 bits behind the number; rate from STREAMINFO.
+        // Block size in 16 bits after the number; rate from STREAMINFO.
         frame.push(0x70);
         // Independent channels, 16 bits a sample.
         frame.push(((self.channels - 1) << 4) | 0x08);

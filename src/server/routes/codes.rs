@@ -41,7 +41,8 @@ pub(crate) struct Codebooks {
     lower_joints: Vec<usize>,
     /// Pairs (upper, lower) that dances start from; any pair where there are none.
     start_codes: Vec<[u32; 2]>,
-    /// Codes that are never drawn: what a dancer cannot do alone, say. They can be given all the same.
+    /// Codes that are never drawn: what a dancer cannot do alone, say. They can be given all the
+    /// same.
     suppressed_codes: SuppressedCodes,
 }
 

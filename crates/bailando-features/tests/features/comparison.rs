@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use ndarray::{Array2, Axis, Slice};
 use serde_json::Value;
 
-/// `|got - expected| <= absolute + relative |expected|`.
+/// The condition `|got - expected| <= absolute + relative |expected|`.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tolerance {
     pub(crate) absolute: f64,
@@ -29,7 +29,7 @@ impl Tolerance {
         }
     }
 
-    /// Error over what is allowed; above 1 is a failure.
+    /// Error over the tolerance; above 1 is a failure.
     fn share(self, got: f32, expected: f32) -> f64 {
         let (got, expected) = (f64::from(got), f64::from(expected));
         let error = (got - expected).abs();
@@ -42,7 +42,7 @@ impl Tolerance {
     }
 }
 
-/// What has been compared.
+/// The worst error of every stage compared.
 #[derive(Debug, Default)]
 pub(crate) struct Checked {
     stages: BTreeMap<String, Worst>,
@@ -80,7 +80,8 @@ impl Checked {
             let share = tolerance.share(got, expected);
             assert!(
                 share <= 1.0,
-                "{clip}: {stage} [{row}, {column}] is {got} instead of {expected}, {share:.2} of the tolerance"
+                "{clip}: {stage} [{row}, {column}] is {got} instead of {expected}, {share:.2} of \
+                 the tolerance"
             );
             if share > worst.share {
                 worst.share = share;
@@ -121,7 +122,7 @@ impl Checked {
         self.stages.entry("features".to_owned()).or_default().clips += 1;
     }
 
-    /// Every stage was compared in as many clips as the set has files of it.
+    /// Asserts that every stage was compared in as many clips as the set has files of it.
     pub(crate) fn assert_clips(&self, expected: &[(&str, usize)]) {
         for &(stage, clips) in expected {
             let compared = self.stages.get(stage).map_or(0, |worst| worst.clips);

@@ -1,9 +1,10 @@
 //! Reading the golden sets: an `index.json` and a folder of `.npy` files per clip.
 
-use std::{collections::BTreeMap, fs, path::Path};
+use std::{collections::BTreeMap, path::Path};
 
-use ndarray::{ArrayD, Dimension, Ix1};
-use ndarray_npy::{ReadableElement, read_npy};
+pub(crate) use bailando_testkit::arrays::load;
+use ndarray::{ArrayD, Ix1, IxDyn};
+use ndarray_npy::read_npy;
 use serde_json::{Value, json};
 
 use crate::comparison::Tolerance;
@@ -15,10 +16,8 @@ pub(crate) struct GoldenSet {
 
 impl GoldenSet {
     pub(crate) fn read(root: &Path) -> Self {
-        let path = root.join("index.json");
-        let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         Self {
-            index: serde_json::from_str(&text).unwrap(),
+            index: bailando_testkit::read_json(&root.join("index.json")),
         }
     }
 
@@ -29,17 +28,8 @@ impl GoldenSet {
 
     /// Songs of which only the onset envelope and the beats are given, by name.
     pub(crate) fn beats_only(&self) -> BTreeMap<String, Value> {
-        let songs = self.index["beats_only"].as_object().unwrap();
-        songs
-            .iter()
-            .map(|(name, song)| (name.clone(), song.clone()))
-            .collect()
+        serde_json::from_value(self.index["beats_only"].clone()).unwrap()
     }
-}
-
-/// An array of the expected element type and dimension.
-pub(crate) fn load<T: ReadableElement, D: Dimension>(path: &Path) -> ndarray::Array<T, D> {
-    read_npy(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
 /// A vector of float32.
@@ -51,16 +41,11 @@ pub(crate) fn load_vector(path: &Path) -> Vec<f32> {
 pub(crate) fn load_as_f32(path: &Path) -> Vec<f32> {
     match read_npy::<_, ArrayD<f32>>(path) {
         Ok(values) => values.iter().copied().collect(),
-        Err(_) => load::<f64, ndarray::IxDyn>(path)
-            .iter()
-            .map(|&value| value as f32)
-            .collect(),
+        Err(_) => {
+            let values = load::<f64, IxDyn>(path);
+            values.iter().map(|&value| value as f32).collect()
+        }
     }
-}
-
-pub(crate) fn integers(values: &Value) -> Vec<u64> {
-    let values = values.as_array().unwrap();
-    values.iter().map(|value| value.as_u64().unwrap()).collect()
 }
 
 /// The tolerances of FEATURES section 10, for sets whose index does not repeat them.

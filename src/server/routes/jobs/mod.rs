@@ -78,8 +78,8 @@ impl JobStatus {
 
 /// Orders a dance that is fetched later.
 ///
-/// The same input as `POST /generate`. The answer comes as soon as the song is here; jobs run beside other
-/// requests, on half of the places to work in (at least one).
+/// The same input as `POST /generate`. The answer comes as soon as the song is here; jobs run
+/// beside other requests, on half of the places to work in (at least one).
 #[utoipa::path(
     post,
     path = "/jobs",
@@ -152,9 +152,9 @@ pub(crate) async fn status(
 
 /// Gives a job's dance, in any format.
 ///
-/// The options that say how a dance is written may be given again: format, include, encoding, bvh_unit. Without
-/// `format` the Accept header chooses; where it has no preference, the dance comes as it was ordered. A job
-/// that failed is answered as `POST /generate` would have been.
+/// The options that say how a dance is written may be given again: format, include, encoding,
+/// bvh_unit. Without `format` the Accept header chooses; where it has no preference, the dance
+/// comes as it was ordered. A job that failed is answered as `POST /generate` would have been.
 #[utoipa::path(
     get,
     path = "/jobs/{id}/result",

@@ -36,11 +36,12 @@ use crate::{
 
 /// Generates a dance and sends it while it is made.
 ///
-/// The same input as `POST /generate`. All checks, decoding and music features happen before the answer
-/// begins; then come one `start` event, `frames` events with the dance's frames in order, and one `done`
-/// event, or an `error` event if something goes wrong meanwhile. Server-sent events by default; with
-/// `Accept: application/x-ndjson` the same objects as lines. Frames are those of `POST /generate` with the
-/// same seed, but for a few centimetres of height at most: where the floor is, is told from 2.5 s ahead.
+/// The same input as `POST /generate`. All checks, decoding and music features happen before the
+/// answer begins; then come one `start` event, `frames` events with the dance's frames in order,
+/// and one `done` event, or an `error` event if something goes wrong meanwhile. Server-sent events
+/// by default; with `Accept: application/x-ndjson` the same objects as lines. Frames are those of
+/// `POST /generate` with the same seed, but for a few centimetres of height at most: where the
+/// floor is, is told from 2.5 s ahead.
 #[utoipa::path(
     post,
     path = "/generate/stream",

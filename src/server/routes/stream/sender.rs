@@ -185,8 +185,8 @@ impl Sender {
         Ok((last.into(), false))
     }
 
-    /// Finishes decoded motion, and makes an event of the frames if there are any. Runs on a blocking
-    /// thread: rotations, the floor and the text of some seconds.
+    /// Finishes decoded motion, and makes an event of the frames if there are any. Runs on a
+    /// blocking thread: rotations, the floor and the text of some seconds.
     async fn finish(
         &mut self,
         make: impl FnOnce(&mut Finisher) -> Result<Finished, MotionError> + Send + 'static,
