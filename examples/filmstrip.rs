@@ -122,11 +122,7 @@ impl Dance {
             self.skeleton.parents.len() == joints && poses.iter().all(|p| p.len() == joints),
             "positions and skeleton don't fit each other"
         );
-        Ok(Motion {
-            fps: self.fps,
-            skeleton: self.skeleton,
-            poses,
-        })
+        Ok(Motion { fps: self.fps, skeleton: self.skeleton, poses })
     }
 }
 
@@ -197,9 +193,8 @@ fn draw_pose(canvas: &mut Canvas, motion: &Motion, frame: usize, centre: f32, sc
     }
 
     let pose = &motion.poses[frame];
-    let mut bones: Vec<(usize, usize)> = (0..pose.len())
-        .filter_map(|joint| Some((motion.parent(joint)?, joint)))
-        .collect();
+    let mut bones: Vec<(usize, usize)> =
+        (0..pose.len()).filter_map(|joint| Some((motion.parent(joint)?, joint))).collect();
     // The camera stands at +z: nearer bones are drawn later.
     bones.sort_by(|a, b| (pose[a.0][2] + pose[a.1][2]).total_cmp(&(pose[b.0][2] + pose[b.1][2])));
     let width = 0.058 * scale;
@@ -226,9 +221,8 @@ fn draw_map(
     let side = MAP - MARGIN;
     let (left, top) = (WIDTH as f32 - MARGIN - side, FLOOR - side);
     canvas.rectangle((left, top), (side, side), SHADE);
-    let places: Vec<(f32, f32)> = frames
-        .map(|frame| (motion.poses[frame][0][0], motion.poses[frame][0][2]))
-        .collect();
+    let places: Vec<(f32, f32)> =
+        frames.map(|frame| (motion.poses[frame][0][0], motion.poses[frame][0][2])).collect();
     let bounds = |values: &dyn Fn(&(f32, f32)) -> f32| {
         let low = places.iter().map(values).fold(f32::INFINITY, f32::min);
         let high = places.iter().map(values).fold(f32::NEG_INFINITY, f32::max);
@@ -315,8 +309,7 @@ impl Canvas {
         if let Some(path) = path {
             let paint = paint(colour, 1.0);
             let plain = Transform::identity();
-            self.pixmap
-                .fill_path(&path, &paint, FillRule::Winding, plain, None);
+            self.pixmap.fill_path(&path, &paint, FillRule::Winding, plain, None);
         }
     }
 }

@@ -22,10 +22,7 @@ fn main() -> Result<()> {
     let engine = Engine::open(&EngineConfig::new("models/default"))?;
     let (mut as_written, mut root_fixed) = (Distances::default(), Distances::default());
     for seed in 0..seeds {
-        let options = GenerationOptions {
-            seed: Some(seed),
-            ..GenerationOptions::default()
-        };
+        let options = GenerationOptions { seed: Some(seed), ..GenerationOptions::default() };
         let output = engine.generate(GenerationRequest::audio(audio.clone(), options))?;
         let dance = output.into_motion(engine.manifest());
         measure(&dance, &mut as_written, &mut root_fixed)?;
@@ -71,9 +68,6 @@ impl Distances {
     #[expect(clippy::print_stdout, reason = "printing is what this example is for")]
     fn print(&self, what: &str) {
         let mean = 100.0 * self.sum / self.count as f64;
-        println!(
-            "{what}: mean {mean:.2} cm, largest {:.1} cm",
-            100.0 * self.largest
-        );
+        println!("{what}: mean {mean:.2} cm, largest {:.1} cm", 100.0 * self.largest);
     }
 }

@@ -44,10 +44,8 @@ fn beat_score(candidates: usize) -> f64 {
             ..GenerationOptions::default()
         });
         let beats = &dance.music.as_ref().unwrap().beats_s;
-        let music: Vec<usize> = beats
-            .iter()
-            .map(|second| (second * FPS).round() as usize)
-            .collect();
+        let music: Vec<usize> =
+            beats.iter().map(|second| (second * FPS).round() as usize).collect();
         beat_align_score(&music, &dance_beats(&speeds(&dance)))
     });
     scores.sum::<f64>() / SEEDS.count() as f64
@@ -105,10 +103,7 @@ fn suppressed_codes_are_never_drawn() {
     for seed in 0..4 {
         // Hotter than it is served: a code in forty would be one of them.
         let codes = dance(&redo(seed, 1.5, false)).codes;
-        let found = codes
-            .lower
-            .iter()
-            .find(|code| suppressed.lower.contains(code));
+        let found = codes.lower.iter().find(|code| suppressed.lower.contains(code));
         assert_eq!(found, None, "seed {seed}");
     }
 }

@@ -23,10 +23,7 @@ const WAV: &str = "tests/fixtures/audio/demo_44k1_8s.wav";
 
 fn bailando(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
-    command
-        .current_dir(folder)
-        .args(arguments)
-        .env("COLUMNS", "100");
+    command.current_dir(folder).args(arguments).env("COLUMNS", "100");
     for (name, _) in std::env::vars_os() {
         if name.to_string_lossy().starts_with("BAILANDO_") {
             command.env_remove(name);
@@ -84,15 +81,8 @@ fn npy<T: ndarray_npy::ReadNpyExt>(path: &str) -> T {
 #[test]
 fn help_is_the_reference() {
     insta::assert_snapshot!("help", succeed("--help"));
-    for command in [
-        "serve",
-        "generate",
-        "features",
-        "evaluate",
-        "codebook",
-        "bench",
-        "healthcheck",
-    ] {
+    for command in ["serve", "generate", "features", "evaluate", "codebook", "bench", "healthcheck"]
+    {
         let help = succeed(&format!("{command} --help"));
         insta::assert_snapshot!(format!("help_{command}"), help);
     }
@@ -162,10 +152,7 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
     let no_model = format!("generate {SONG} -o {json} --model-dir src");
     let unreachable = "healthcheck --url http://127.0.0.1:1/health";
     for (arguments, expected) in [
-        (
-            &*format!("generate no-such-song.mp3 -o {json}"),
-            "no-such-song.mp3",
-        ),
+        (&*format!("generate no-such-song.mp3 -o {json}"), "no-such-song.mp3"),
         (&format!("generate Cargo.toml -o {json}"), "Cargo.toml"),
         (&no_model, "manifest.json"),
         (unreachable, "127.0.0.1:1"),
@@ -182,9 +169,7 @@ fn a_song_becomes_json_bvh_and_npy_of_the_same_dance() {
     let folder = folder();
     let [document, positions, bvh] = ["a.json", "a.npy", "a.bvh"].map(|name| {
         let path = path(&folder, name);
-        succeed(&format!(
-            "generate {SONG} -o {path} --seed 7 --duration-s 6"
-        ));
+        succeed(&format!("generate {SONG} -o {path} --seed 7 --duration-s 6"));
         path
     });
     let json = json(&document);
@@ -222,15 +207,7 @@ fn dots_in_a_songs_name_stay_in_the_dances_name() {
     for song in &songs {
         fs::copy(project(SONG), song).expect("copied");
     }
-    let arguments = [
-        "generate",
-        &songs[0],
-        &songs[1],
-        "--out-dir",
-        "out",
-        "--duration-s",
-        "1",
-    ];
+    let arguments = ["generate", &songs[0], &songs[1], "--out-dir", "out", "--duration-s", "1"];
     let model = project("models/default");
     let model = ["--model-dir", model.to_str().expect("UTF-8")];
     succeed_in(folder.path(), &[&arguments[..], &model].concat());
@@ -260,17 +237,13 @@ fn features_and_rows_give_the_codes_of_the_song() {
         ["rows.npy", "codes.npy", "positions.npy", "song.json"].map(|name| path(&folder, name));
     let model = default_manifest();
     let [upper, lower] = model.start_codes[0];
-    succeed(&format!(
-        "features {SONG} -o {rows} --model-dir models/default"
-    ));
+    succeed(&format!("features {SONG} -o {rows} --model-dir models/default"));
     let features: Array2<f32> = npy(&rows);
     assert_eq!(features.dim(), (226, model.features.columns));
     let periods = model.features.count_periods.iter().map(u32::to_string);
     let periods = periods.collect::<Vec<_>>().join(",");
     if !periods.is_empty() {
-        succeed(&format!(
-            "features {SONG} -o {rows} --count-periods {periods}"
-        ));
+        succeed(&format!("features {SONG} -o {rows} --count-periods {periods}"));
         assert_eq!(features, npy::<Array2<f32>>(&rows));
     }
     let start = format!("--start-upper {upper} --start-lower {lower} --hop 15 --seed 3");
@@ -305,11 +278,8 @@ fn the_documented_way_over_feature_rows_works_as_written() {
     const GENERATE: &str = "bailando generate --features features.npy --codes-out codes.npy \
         --positions-out positions.npy";
     let folder = folder();
-    fs::copy(
-        project("tests/fixtures/audio/demo.mp3"),
-        folder.path().join("song.mp3"),
-    )
-    .expect("copied");
+    fs::copy(project("tests/fixtures/audio/demo.mp3"), folder.path().join("song.mp3"))
+        .expect("copied");
     std::os::unix::fs::symlink(project("models"), folder.path().join("models")).expect("linked");
     let readme = fs::read_to_string(project("README.md")).expect("a README");
     let run = |line: &str| {
@@ -326,21 +296,11 @@ fn the_documented_way_over_feature_rows_works_as_written() {
 
     // Without the model's columns there is a dance too, with a word about the better way.
     run("bailando features song.mp3 -o features.npy");
-    assert_eq!(
-        npy::<Array2<f32>>(&path(&folder, "features.npy")).dim(),
-        (rows, 438)
-    );
+    assert_eq!(npy::<Array2<f32>>(&path(&folder, "features.npy")).dim(), (rows, 438));
     let errors = run(GENERATE);
     let counts = !model.features.count_periods.is_empty();
-    assert_eq!(
-        errors.contains("--model-dir models/default"),
-        counts,
-        "{errors}"
-    );
-    assert_eq!(
-        npy::<Array2<i64>>(&path(&folder, "codes.npy")).dim(),
-        (2, rows)
-    );
+    assert_eq!(errors.contains("--model-dir models/default"), counts, "{errors}");
+    assert_eq!(npy::<Array2<i64>>(&path(&folder, "codes.npy")).dim(), (2, rows));
 }
 
 #[test]

@@ -32,11 +32,8 @@ const SONG_SECONDS: f64 = 30.0;
 const FPS: usize = 60;
 
 fn dance(audio: Vec<u8>, seed: u64) -> GeneratedMotion {
-    let options = GenerationOptions {
-        seed: Some(seed),
-        music: true,
-        ..GenerationOptions::default()
-    };
+    let options =
+        GenerationOptions { seed: Some(seed), music: true, ..GenerationOptions::default() };
     dance_to(audio, &options)
 }
 
@@ -79,11 +76,7 @@ fn joint(positions: &Positions, frame: usize, joint: usize) -> [f32; 3] {
 }
 
 fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a.iter()
-        .zip(b)
-        .map(|(a, b)| (a - b).powi(2))
-        .sum::<f32>()
-        .sqrt()
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt()
 }
 
 /// Metres per second, mean over joints and frames.
@@ -92,10 +85,7 @@ fn mean_speed(positions: &Positions) -> f32 {
     let mut sum = 0.0;
     for frame in 1..frames {
         for index in 0..joints {
-            sum += distance(
-                joint(positions, frame, index),
-                joint(positions, frame - 1, index),
-            );
+            sum += distance(joint(positions, frame, index), joint(positions, frame - 1, index));
         }
     }
     sum * FPS as f32 / ((frames - 1) * joints) as f32
@@ -112,10 +102,7 @@ fn assert_on_the_floor(dance: &GeneratedMotion, positions: &Positions, what: &st
     let feet = lower_foot_heights(positions, &dance.skeleton);
     for (start, window) in feet.windows(5 * FPS).enumerate() {
         let low = percentile(window, 0.05);
-        assert!(
-            (low - 0.015).abs() <= 0.05,
-            "{what}: feet at {low} m from frame {start}"
-        );
+        assert!((low - 0.015).abs() <= 0.05, "{what}: feet at {low} m from frame {start}");
     }
 }
 
@@ -123,24 +110,15 @@ fn assert_on_the_floor(dance: &GeneratedMotion, positions: &Positions, what: &st
 fn assert_plausible_body(dance: &GeneratedMotion, positions: &Positions, what: &str) {
     for frame in 0..positions.dim().0 {
         let pelvis = joint(positions, frame, 0)[1];
-        assert!(
-            (0.6..=1.2).contains(&pelvis),
-            "{what}: pelvis at {pelvis} m in frame {frame}"
-        );
+        assert!((0.6..=1.2).contains(&pelvis), "{what}: pelvis at {pelvis} m in frame {frame}");
         let heights = positions.index_axis(Axis(0), frame);
         let highest = heights.column(1).iter().copied().fold(f32::MIN, f32::max);
         let lowest = heights.column(1).iter().copied().fold(f32::MAX, f32::min);
         let body = highest - lowest;
-        assert!(
-            (0.9..=2.2).contains(&body),
-            "{what}: {body} m tall in frame {frame}"
-        );
+        assert!((0.9..=2.2).contains(&body), "{what}: {body} m tall in frame {frame}");
     }
     let speed = mean_speed(positions);
-    assert!(
-        (0.3..=2.0).contains(&speed),
-        "{what}: mean joint speed {speed} m/s"
-    );
+    assert!((0.3..=2.0).contains(&speed), "{what}: mean joint speed {speed} m/s");
     assert_on_the_floor(dance, positions, what);
 }
 
@@ -153,17 +131,11 @@ fn assert_skeleton_follows(dance: &GeneratedMotion, skeleton: &Positions, what: 
     for (frame, (own, posed)) in decoder.iter().zip(&posed).enumerate() {
         floating += usize::from(posed - own.max(0.0) > 0.08);
         let feet = [10, 11].map(|foot| {
-            distance(
-                joint(skeleton, frame, foot),
-                joint(&dance.positions, frame, foot),
-            )
+            distance(joint(skeleton, frame, foot), joint(&dance.positions, frame, foot))
         });
         apart += usize::from(feet.iter().any(|&metres| metres > 0.03));
         let roots = joint(skeleton, frame, 0)[1] - joint(&dance.positions, frame, 0)[1];
-        assert!(
-            roots.abs() < 0.03,
-            "{what}: roots {roots} m apart in frame {frame}"
-        );
+        assert!(roots.abs() < 0.03, "{what}: roots {roots} m apart in frame {frame}");
     }
     assert_eq!(floating, 0, "{what}: frames that float by 8 cm");
     assert!(
@@ -194,14 +166,12 @@ fn every_container_of_the_demo_song_becomes_a_plausible_dance_of_its_length() {
         let expected = (SONG_SECONDS * FPS as f64) as usize;
         assert!(frames.abs_diff(expected) <= 8, "{name}: {frames} frames");
         assert_plausible(&dance, name);
-        let json = OutputFormat::Json
-            .write(&dance, &JsonOptions::default(), BvhUnit::Centimetre)
-            .unwrap();
+        let json =
+            OutputFormat::Json.write(&dance, &JsonOptions::default(), BvhUnit::Centimetre).unwrap();
         let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
         assert_eq!(json["frames"], frames, "{name}");
-        let bvh = OutputFormat::Bvh
-            .write(&dance, &JsonOptions::default(), BvhUnit::Centimetre)
-            .unwrap();
+        let bvh =
+            OutputFormat::Bvh.write(&dance, &JsonOptions::default(), BvhUnit::Centimetre).unwrap();
         let bvh = String::from_utf8(bvh).unwrap();
         assert!(bvh.contains(&format!("Frames: {frames}")), "{name}");
     }
@@ -225,10 +195,7 @@ fn guidance_of_1_is_the_model_itself_and_more_is_another_dance() {
         let options = GenerationOptions {
             seed: Some(4),
             guidance,
-            range: bailando::audio::AudioRange {
-                offset_s: 0.0,
-                duration_s: Some(8.0),
-            },
+            range: bailando::audio::AudioRange { offset_s: 0.0, duration_s: Some(8.0) },
             ..GenerationOptions::default()
         };
         dance_to(fixture("demo.ogg"), &options).codes
@@ -262,10 +229,7 @@ impl MotionStream for Recorder {
 
 #[test]
 fn a_stream_is_the_dance_in_pieces() {
-    for (fps, seed) in [60, 30]
-        .into_iter()
-        .flat_map(|fps| (3..=5).map(move |seed| (fps, seed)))
-    {
+    for (fps, seed) in [60, 30].into_iter().flat_map(|fps| (3..=5).map(move |seed| (fps, seed))) {
         let options = GenerationOptions {
             seed: Some(seed),
             fps,
@@ -323,10 +287,7 @@ fn part(offset_s: f64, continue_from: Option<Continuation>, root_motion: bool) -
         seed: Some(8),
         continue_from,
         root_motion,
-        range: bailando::audio::AudioRange {
-            offset_s,
-            duration_s: Some(8.0),
-        },
+        range: bailando::audio::AudioRange { offset_s, duration_s: Some(8.0) },
         ..GenerationOptions::default()
     };
     dance_to(fixture("demo.ogg"), &options)
@@ -340,23 +301,18 @@ fn tail_of(dance: &GeneratedMotion) -> Option<Continuation> {
 /// No joint goes further from a dance's last frame to the next dance's first than it does inside.
 fn assert_goes_on(first: &GeneratedMotion, second: &GeneratedMotion) {
     let (last, next) = (
-        first
-            .positions
-            .index_axis(Axis(0), first.positions.dim().0 - 1),
+        first.positions.index_axis(Axis(0), first.positions.dim().0 - 1),
         second.positions.index_axis(Axis(0), 0),
     );
     let seam = last.outer_iter().zip(next.outer_iter());
-    let furthest = seam
-        .map(|(a, b)| distance([a[0], a[1], a[2]], [b[0], b[1], b[2]]))
-        .fold(0.0, f32::max);
+    let furthest =
+        seam.map(|(a, b)| distance([a[0], a[1], a[2]], [b[0], b[1], b[2]])).fold(0.0, f32::max);
     let steps = first.positions.axis_windows(Axis(0), 2).into_iter();
     let fastest = steps
         .flat_map(|two| {
             let joints = 0..two.dim().1;
             let at = |frame: usize, joint: usize| [0, 1, 2].map(|axis| two[[frame, joint, axis]]);
-            joints
-                .map(|joint| distance(at(0, joint), at(1, joint)))
-                .collect::<Vec<_>>()
+            joints.map(|joint| distance(at(0, joint), at(1, joint))).collect::<Vec<_>>()
         })
         .fold(0.0, f32::max);
     println!("seam {furthest:.3} m, fastest step inside {fastest:.3} m");
@@ -373,10 +329,8 @@ fn a_dance_goes_on_where_another_ended() {
     assert_ne!(second.codes, elsewhere.codes);
     // And what a tail tells of another model is refused.
     let foreign = Continuation::new("00000000", first.codes.clone(), [0.0; 2], 0.0);
-    let options = GenerationOptions {
-        continue_from: Some(foreign),
-        ..GenerationOptions::default()
-    };
+    let options =
+        GenerationOptions { continue_from: Some(foreign), ..GenerationOptions::default() };
     let refused = engine().check(&options).unwrap_err();
     assert!(refused.to_string().contains("another model"), "{refused}");
 }
@@ -402,10 +356,7 @@ fn a_motion_is_finished_in_pieces_as_it_is_at_once() {
     let rows = Array2::from_shape_fn((600, columns), |(row, column)| {
         ((row * 31 + column * 7) % 97) as f32 / 97.0
     });
-    let options = GenerationOptions {
-        seed: Some(5),
-        ..GenerationOptions::default()
-    };
+    let options = GenerationOptions { seed: Some(5), ..GenerationOptions::default() };
     let request = GenerationRequest::features(rows, options);
     let decoded = engine().generate(request).unwrap().into_decoded();
     let (skeleton, finish) = (&manifest.skeleton, FinishOptions::default());
@@ -422,11 +373,7 @@ fn a_pair_of_codes_is_a_pose_that_stands() {
     let pose = engine().pose([3, 7]).wait().unwrap();
     assert_eq!(pose.dim(), (32, 24, 3));
     let skeleton = &engine().manifest().skeleton;
-    assert!(
-        lower_foot_heights(&pose, skeleton)
-            .iter()
-            .all(|h| h.abs() < 0.1)
-    );
+    assert!(lower_foot_heights(&pose, skeleton).iter().all(|h| h.abs() < 0.1));
     assert!(engine().pose([u32::MAX, 0]).wait().is_err());
 }
 
@@ -437,26 +384,14 @@ fn other_frame_rates_and_a_dancer_in_place() {
             seed: Some(3),
             fps,
             root_motion: false,
-            range: bailando::audio::AudioRange {
-                offset_s: 2.0,
-                duration_s: Some(4.0),
-            },
+            range: bailando::audio::AudioRange { offset_s: 2.0, duration_s: Some(4.0) },
             ..GenerationOptions::default()
         };
         let dance = dance_to(fixture("demo.ogg"), &options);
         let frames = dance.positions.dim().0;
         let code = (8 * fps as usize).div_ceil(60);
-        assert!(
-            (expected..=expected + code).contains(&frames),
-            "{fps} fps: {frames}"
-        );
+        assert!((expected..=expected + code).contains(&frames), "{fps} fps: {frames}");
         assert_eq!(dance.animation.root.len(), frames);
-        assert!(
-            dance
-                .animation
-                .root
-                .iter()
-                .all(|root| root.x == 0.0 && root.z == 0.0)
-        );
+        assert!(dance.animation.root.iter().all(|root| root.x == 0.0 && root.z == 0.0));
     }
 }

@@ -26,15 +26,8 @@ use std::{
 use bailando_testkit::{fixture, project};
 
 /// What commands read. These are copies, since some commands write into the same folders.
-const COPIES: [&str; 7] = [
-    "Makefile",
-    "benches",
-    "deploy",
-    "docs",
-    "models",
-    "scripts",
-    "tests/fixtures",
-];
+const COPIES: [&str; 7] =
+    ["Makefile", "benches", "deploy", "docs", "models", "scripts", "tests/fixtures"];
 const PRESETS: &str = "train/presets";
 /// The longest that a block may take: far more than it needs on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -77,9 +70,7 @@ fn blocks(document: &Path, text: &str) -> Vec<Block> {
         let inside = inside.take_while(|line| line.trim_start() != "```");
         let commands: Vec<&str> = match language {
             "sh" => inside.collect(),
-            "console" => inside
-                .filter_map(|line| line.trim_start().strip_prefix("$ "))
-                .collect(),
+            "console" => inside.filter_map(|line| line.trim_start().strip_prefix("$ ")).collect(),
             "bash" | "shell" | "zsh" => panic!("{place}: commands are `sh` or `console`"),
             _ => {
                 inside.for_each(drop);
@@ -87,15 +78,8 @@ fn blocks(document: &Path, text: &str) -> Vec<Block> {
             }
         };
         let not_run = rest.strip_prefix("no-run: ").map(str::to_owned);
-        assert!(
-            rest.is_empty() || not_run.is_some(),
-            "{place}: what is {rest:?}?"
-        );
-        blocks.push(Block {
-            place,
-            commands: commands.join("\n"),
-            not_run,
-        });
+        assert!(rest.is_empty() || not_run.is_some(), "{place}: what is {rest:?}?");
+        blocks.push(Block { place, commands: commands.join("\n"), not_run });
     }
     blocks
 }
@@ -107,19 +91,10 @@ fn blocks_are_read_as_they_are_rendered() {
     let found = blocks(Path::new("x.md"), text);
     let found: Vec<_> = found
         .iter()
-        .map(|block| {
-            (
-                block.place.as_str(),
-                block.commands.as_str(),
-                block.not_run.as_deref(),
-            )
-        })
+        .map(|block| (block.place.as_str(), block.commands.as_str(), block.not_run.as_deref()))
         .collect();
-    let expected = [
-        ("x.md:1", "a\nb", None),
-        ("x.md:8", "c", None),
-        ("x.md:14", "d", Some("needs a moon")),
-    ];
+    let expected =
+        [("x.md:1", "a\nb", None), ("x.md:8", "c", None), ("x.md:14", "d", Some("needs a moon"))];
     assert_eq!(found, expected);
 }
 
@@ -156,23 +131,12 @@ impl Workplace {
             std::os::unix::fs::symlink(shared, folder.path().join("shared")).unwrap();
         }
         write_stand_ins(&home.join("target/release"));
-        let port = TcpListener::bind("127.0.0.1:0")
-            .unwrap()
-            .local_addr()
-            .unwrap()
-            .port();
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let mut serve = clean(env!("CARGO_BIN_EXE_bailando"), &home);
         let log = File::create(home.join("server.log")).unwrap();
-        let server = serve
-            .args(["serve", "--port", &port.to_string()])
-            .stderr(log)
-            .spawn()
-            .unwrap();
-        let workplace = Self {
-            folder,
-            server,
-            port,
-        };
+        let server =
+            serve.args(["serve", "--port", &port.to_string()]).stderr(log).spawn().unwrap();
+        let workplace = Self { folder, server, port };
         workplace.wait_until_ready();
         workplace
     }
@@ -186,20 +150,11 @@ impl Workplace {
         let url = format!("http://127.0.0.1:{}/ready", self.port);
         loop {
             let mut probe = clean(env!("CARGO_BIN_EXE_bailando"), &self.home());
-            if probe
-                .args(["healthcheck", "--url", &url])
-                .output()
-                .unwrap()
-                .status
-                .success()
-            {
+            if probe.args(["healthcheck", "--url", &url]).output().unwrap().status.success() {
                 return;
             }
             let log = fs::read_to_string(self.home().join("server.log")).unwrap();
-            assert!(
-                started.elapsed() < PATIENCE,
-                "the server is not ready: {log}"
-            );
+            assert!(started.elapsed() < PATIENCE, "the server is not ready: {log}");
             thread::sleep(Duration::from_millis(100));
         }
     }
@@ -210,10 +165,7 @@ impl Workplace {
         let log = self.home().join("block.log");
         let output = File::create(&log).unwrap();
         let mut shell = clean("sh", &self.home());
-        shell
-            .args(["-eu", "-c", &commands])
-            .stderr(output.try_clone().unwrap())
-            .stdout(output);
+        shell.args(["-eu", "-c", &commands]).stderr(output.try_clone().unwrap()).stdout(output);
         let started = Instant::now();
         let mut child = shell.spawn().unwrap();
         let status = loop {
@@ -249,11 +201,7 @@ fn clean(program: &str, folder: &Path) -> Command {
     let mut path = OsString::from(folder.join("target/release"));
     path.push(":");
     path.push(&outer);
-    command
-        .current_dir(folder)
-        .stdin(Stdio::null())
-        .env("OUTER_PATH", outer)
-        .env("PATH", path);
+    command.current_dir(folder).stdin(Stdio::null()).env("OUTER_PATH", outer).env("PATH", path);
     command
 }
 
@@ -287,18 +235,9 @@ kill -TERM $server; wait $server"#
     );
     let scripts = [
         ("bailando", serve),
-        (
-            "bailando-train",
-            format!(r#"exec {real}/bailando-train "$@""#),
-        ),
-        (
-            "curl",
-            r#"PATH=$OUTER_PATH exec curl --fail-with-body -sS "$@""#.to_owned(),
-        ),
-        (
-            "make",
-            r#"PATH=$OUTER_PATH exec make --dry-run "$@""#.to_owned(),
-        ),
+        ("bailando-train", format!(r#"exec {real}/bailando-train "$@""#)),
+        ("curl", r#"PATH=$OUTER_PATH exec curl --fail-with-body -sS "$@""#.to_owned()),
+        ("make", r#"PATH=$OUTER_PATH exec make --dry-run "$@""#.to_owned()),
     ];
     fs::create_dir_all(folder).unwrap();
     for (name, script) in scripts {
@@ -325,10 +264,7 @@ fn commands_of_the_docs_run() {
     for document in documents() {
         let text = fs::read_to_string(project(&document)).unwrap();
         for block in blocks(&document, &text) {
-            let reason = block
-                .not_run
-                .clone()
-                .or_else(|| missing(&block).map(str::to_owned));
+            let reason = block.not_run.clone().or_else(|| missing(&block).map(str::to_owned));
             if let Some(reason) = reason {
                 println!("{}: not run, {reason}", block.place);
                 left_out += 1;
@@ -347,19 +283,11 @@ fn commands_of_the_docs_run() {
 fn links_lead_somewhere() {
     for document in documents() {
         let text = fs::read_to_string(project(&document)).unwrap();
-        for link in text
-            .split("](")
-            .skip(1)
-            .filter_map(|rest| rest.split(')').next())
-        {
+        for link in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
             let (file, _) = link.split_once('#').unwrap_or((link, ""));
             let is_local = !file.is_empty() && !file.contains("://") && !file.contains(' ');
             let target = project(document.parent().unwrap()).join(file);
-            assert!(
-                !is_local || target.exists(),
-                "{}: {link}",
-                document.display()
-            );
+            assert!(!is_local || target.exists(), "{}: {link}", document.display());
         }
     }
 }

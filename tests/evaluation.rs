@@ -35,12 +35,7 @@ fn the_command_prints_a_table_and_json() {
     assert_eq!(code, Some(0), "{errors}");
     let report: serde_json::Value = serde_json::from_str(&json).unwrap();
     let distances = ["fid_k", "fid_g", "div_k", "div_g", "jerk", "foot_skate"];
-    let beats = [
-        "beat_align",
-        "beat_align_dance",
-        "beat_chance",
-        "beat_margin",
-    ];
+    let beats = ["beat_align", "beat_align_dance", "beat_chance", "beat_margin"];
     for row in [&report, &report["reference"]] {
         for key in distances.iter().chain(&beats) {
             assert!(row[key].is_f64(), "{key}: {row}");
@@ -72,11 +67,8 @@ fn mistakes_are_named() {
     fs::write(reference.join("index.json"), index.to_string()).unwrap();
     let beats = folder.path().join("beats.json");
     fs::write(&beats, r#"{"a.ogg": [3, 5]}"#).unwrap();
-    let folders = format!(
-        "--generated {} --reference {}",
-        generated.display(),
-        reference.display()
-    );
+    let folders =
+        format!("--generated {} --reference {}", generated.display(), reference.display());
     let try_with = |more: &str, code: i32, words: &str| {
         let (got, _, errors) = evaluate(&format!("{folders} {more}"));
         let right = got == Some(code) && errors.contains(words);

@@ -51,9 +51,5 @@ impl Generator {
 }
 
 fn options(seed: u64, candidates: Option<usize>) -> GenerationOptions {
-    GenerationOptions {
-        seed: Some(seed),
-        candidates,
-        ..GenerationOptions::default()
-    }
+    GenerationOptions { seed: Some(seed), candidates, ..GenerationOptions::default() }
 }

@@ -70,8 +70,6 @@ fn at_once<T: Send>(count: usize, work: impl Fn(usize) -> Result<T> + Sync) -> R
         let spawn = |number| scope.spawn(move || work(number));
         let running: Vec<_> = (0..count).map(spawn).collect();
         let ended = running.into_iter().map(|one| one.join());
-        ended
-            .map(|result| result.unwrap_or_else(|_| Err(BenchError::Panicked)))
-            .collect()
+        ended.map(|result| result.unwrap_or_else(|_| Err(BenchError::Panicked))).collect()
     })
 }

@@ -21,11 +21,7 @@ const SEED: u64 = 1;
 const DECODED_SECONDS: usize = 30;
 
 fn stage(name: impl Into<String>, threads: usize, seconds: f64) -> Stage {
-    Stage {
-        name: name.into(),
-        threads,
-        seconds,
-    }
+    Stage { name: name.into(), threads, seconds }
 }
 
 pub(super) fn measure(
@@ -44,13 +40,7 @@ fn frontend(options: &BenchOptions) -> Result<Vec<Stage>> {
     let decode = |rates: &[Rate]| {
         let rates: Vec<u32> = rates.iter().map(|rate| rate.hz()).collect();
         let (song, limits) = (options.song.clone(), AudioLimits::default());
-        audio::decode(
-            song,
-            AudioRange::default(),
-            &rates,
-            &limits,
-            &CancelToken::new(),
-        )
+        audio::decode(song, AudioRange::default(), &rates, &limits, &CancelToken::new())
     };
     let mut stages = Vec::new();
     let both = [Rate::Conditioning, Rate::Beats];
@@ -93,12 +83,8 @@ fn generation(generator: &Generator, repeats: usize, threads: usize) -> Result<V
     let chosen = median(repeats, || to_file(Some(3)))?;
     Ok(vec![
         timed("song_decode", |dance| dance.timings.decode.as_secs_f64()),
-        timed("song_features_and_beats", |dance| {
-            dance.timings.features.as_secs_f64()
-        }),
-        timed("song_codes_and_frames", |dance| {
-            dance.timings.inference.as_secs_f64()
-        }),
+        timed("song_features_and_beats", |dance| dance.timings.features.as_secs_f64()),
+        timed("song_codes_and_frames", |dance| dance.timings.inference.as_secs_f64()),
         timed("song_rotations", |dance| dance.timings.motion.as_secs_f64()),
         stage("song_bvh", 1, bvh),
         stage("song_to_bvh", threads, whole),
@@ -115,9 +101,5 @@ pub(super) fn decoder(directory: &ModelDirectory, repeats: usize, threads: usize
     let codes: Vec<_> = (0..count).map(pair).collect();
     let mut decoder = directory.decoder(threads)?;
     let seconds = median(repeats, || decoder.decode(&codes))?;
-    Ok(stage(
-        format!("decoder_{DECODED_SECONDS}_s"),
-        threads,
-        seconds,
-    ))
+    Ok(stage(format!("decoder_{DECODED_SECONDS}_s"), threads, seconds))
 }

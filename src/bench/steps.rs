@@ -85,10 +85,7 @@ impl Window {
     }
 
     fn next(&self, step: usize) -> NextStep<'_> {
-        NextStep {
-            codes: self.codes[step],
-            music: self.music.row(step),
-        }
+        NextStep { codes: self.codes[step], music: self.music.row(step) }
     }
 
     fn first(&self, steps: usize) -> Steps<'_> {

@@ -23,12 +23,7 @@ impl Bench {
     }
 
     fn machine_line(&self) -> String {
-        let Machine {
-            cpu,
-            vectors,
-            cores,
-            system,
-        } = &self.machine;
+        let Machine { cpu, vectors, cores, system } = &self.machine;
         let weights = match self.weights {
             WeightStorage::F32 => "f32",
             WeightStorage::F16 => "f16, computed as f32",
@@ -61,10 +56,7 @@ impl Bench {
             format!("{:.2}", self.start_s),
             String::new(),
         ];
-        table(
-            &["stage", "threads", "seconds", "baseline"],
-            rows.chain([start]),
-        )
+        table(&["stage", "threads", "seconds", "baseline"], rows.chain([start]))
     }
 
     fn step_table(&self, baseline: &Baseline) -> String {
@@ -74,11 +66,7 @@ impl Bench {
             std::iter::once(title).chain(cells).collect::<Vec<_>>()
         };
         let mut rows = vec![row("reading the weights once".into(), &|steps| {
-            format!(
-                "{} ({:.0} MB)",
-                ms(steps.floor_s),
-                steps.weight_bytes as f64 / 1e6
-            )
+            format!("{} ({:.0} MB)", ms(steps.floor_s), steps.weight_bytes as f64 / 1e6)
         })];
         let batches = self.steps.first().map_or(&[][..], |steps| &steps.steps);
         for (place, point) in batches.iter().enumerate() {
@@ -123,28 +111,15 @@ impl Bench {
 
     fn load_table(&self) -> String {
         let rows = self.load.iter().map(|point| {
-            let figures = [
-                point.dances_per_second,
-                point.p50_s,
-                point.p95_s,
-                point.p99_s,
-            ];
+            let figures = [point.dances_per_second, point.p50_s, point.p95_s, point.p99_s];
             let figures = figures.map(|figure| format!("{figure:.2}"));
-            std::iter::once(point.callers.to_string())
-                .chain(figures)
-                .collect()
+            std::iter::once(point.callers.to_string()).chain(figures).collect()
         });
-        table(
-            &["callers", "dances a second", "p50 s", "p95 s", "p99 s"],
-            rows,
-        )
+        table(&["callers", "dances a second", "p50 s", "p95 s", "p99 s"], rows)
     }
 
     fn length_table(&self) -> String {
-        let first = self
-            .lengths
-            .first()
-            .map_or(f64::NAN, |point| point.elapsed_s);
+        let first = self.lengths.first().map_or(f64::NAN, |point| point.elapsed_s);
         let rows = self.lengths.iter().map(|point| {
             vec![
                 format!("{:.0}", point.seconds),
@@ -153,15 +128,7 @@ impl Bench {
                 megabytes(point.resident_peak_bytes),
             ]
         });
-        table(
-            &[
-                "song, s",
-                "seconds",
-                "x the first",
-                "peak memory so far, MB",
-            ],
-            rows,
-        )
+        table(&["song, s", "seconds", "x the first", "peak memory so far, MB"], rows)
     }
 
     fn memory_line(&self) -> String {

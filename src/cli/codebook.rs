@@ -39,12 +39,7 @@ pub(super) struct CodebookArgs {
     #[arg(long, num_args = 1.., value_name = "C.npy")]
     codes: Vec<PathBuf>,
     /// Order of the codes: by number, or the most used in --codes first
-    #[arg(
-        long,
-        value_enum,
-        default_value = "number",
-        requires_if("uses", "codes")
-    )]
+    #[arg(long, value_enum, default_value = "number", requires_if("uses", "codes"))]
     sort: SortArg,
 }
 
@@ -97,8 +92,7 @@ impl CodebookArgs {
         let mut uses = Uses::new(directory.manifest().vocabulary);
         for path in &self.codes {
             let codes = read_codes(path)?;
-            uses.add(&codes)
-                .with_context(|| path.display().to_string())?;
+            uses.add(&codes).with_context(|| path.display().to_string())?;
         }
         Ok(Some(uses))
     }
@@ -112,8 +106,5 @@ fn read_codes(path: &Path) -> anyhow::Result<Codes> {
         let codes = rows.row(row).into_iter().map(|&code| u32::try_from(code));
         codes.collect::<Result<Vec<u32>, _>>().with_context(problem)
     };
-    Ok(Codes {
-        upper: row(0)?,
-        lower: row(1)?,
-    })
+    Ok(Codes { upper: row(0)?, lower: row(1)? })
 }

@@ -75,10 +75,9 @@ impl EvaluateArgs {
             },
             clips: match self.window {
                 None => Clips::default(),
-                Some(length) => Clips::Windows {
-                    length,
-                    stride: self.stride.unwrap_or(length / 2),
-                },
+                Some(length) => {
+                    Clips::Windows { length, stride: self.stride.unwrap_or(length / 2) }
+                }
             },
             kinetic: match self.kinetic {
                 KineticArg::Published => KineticForm::Published,

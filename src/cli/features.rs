@@ -96,20 +96,12 @@ impl FeaturesArgs {
             let problem = "--count-periods needs --rate 3840 and --profile librosa-0.11";
             return Err(Usage(problem.into()).into());
         }
-        Ok(Columns {
-            rate,
-            profile,
-            count_periods: self.count_periods.clone(),
-        })
+        Ok(Columns { rate, profile, count_periods: self.count_periods.clone() })
     }
 }
 
 pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
-    let Columns {
-        rate,
-        profile,
-        count_periods,
-    } = args.columns()?;
+    let Columns { rate, profile, count_periods } = args.columns()?;
     let name = || args.audio.display().to_string();
     let song = read_file(&args.audio)?;
     // No shortest length here: the features have their own.

@@ -92,10 +92,7 @@ impl GenerateArgs {
             threads: self.threads.map_or(defaults.threads, NonZeroUsize::get),
             // Enough for all that the options allow.
             batch: 2 * MAX_CANDIDATES,
-            audio: AudioLimits {
-                max_seconds: self.max_audio_seconds,
-                ..AudioLimits::default()
-            },
+            audio: AudioLimits { max_seconds: self.max_audio_seconds, ..AudioLimits::default() },
             ..defaults
         })?)
     }
@@ -122,10 +119,7 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
     }
     match first_failure {
         None => Ok(()),
-        Some(_) => anyhow::bail!(
-            "{failures} of {} songs could not be danced to",
-            inputs.len()
-        ),
+        Some(_) => anyhow::bail!("{failures} of {} songs could not be danced to", inputs.len()),
     }
 }
 
@@ -167,11 +161,7 @@ fn report(dance: &GeneratedMotion, target: &Path, started: Instant) {
 }
 
 fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
-    let RowsArgs {
-        codes_out,
-        positions_out,
-        ..
-    } = &args.rows;
+    let RowsArgs { codes_out, positions_out, .. } = &args.rows;
     if codes_out.is_none() && positions_out.is_none() {
         return Err(Usage("say what to write: --codes-out or --positions-out".into()).into());
     }
@@ -227,9 +217,6 @@ fn read_rows(path: &Path) -> anyhow::Result<Array2<f32>> {
 fn codes_array(codes: &Codes) -> Array2<i64> {
     let halves = [&codes.upper, &codes.lower];
     Array2::from_shape_fn((2, codes.upper.len()), |(half, index)| {
-        halves
-            .get(half)
-            .and_then(|half| half.get(index))
-            .map_or(0, |&code| i64::from(code))
+        halves.get(half).and_then(|half| half.get(index)).map_or(0, |&code| i64::from(code))
     })
 }

@@ -44,10 +44,7 @@ pub(super) fn run(args: &HealthcheckArgs) -> anyhow::Result<()> {
             .proxy(None)
             .build(),
     );
-    agent
-        .get(&url)
-        .call()
-        .with_context(|| format!("{url} gives no good answer"))?;
+    agent.get(&url).call().with_context(|| format!("{url} gives no good answer"))?;
     Ok(())
 }
 

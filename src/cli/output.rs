@@ -19,12 +19,7 @@ use super::console::{Usage, write_file};
 #[derive(Debug, clap::Args)]
 pub(super) struct OutputArgs {
     /// The file to write; its extension is the format: json, bvh or npy (positions alone)
-    #[arg(
-        short,
-        long,
-        value_name = "OUT.{json,bvh,npy}",
-        conflicts_with = "out_dir"
-    )]
+    #[arg(short, long, value_name = "OUT.{json,bvh,npy}", conflicts_with = "out_dir")]
     output: Option<PathBuf>,
     /// Folder for the results of several songs, each named after its song
     #[arg(long, value_name = "DIR")]
@@ -57,14 +52,10 @@ impl FileFormat {
         let extension = path.extension().and_then(|e| e.to_str());
         let extension = extension.map(str::to_ascii_lowercase);
         let mut formats = [Self::Json, Self::Bvh, Self::Npy].into_iter();
-        formats
-            .find(|format| extension.as_deref() == Some(format.extension()))
-            .ok_or_else(|| {
-                let path = path.display();
-                Usage(format!(
-                    "{path}: the extension chooses the format: json, bvh or npy"
-                ))
-            })
+        formats.find(|format| extension.as_deref() == Some(format.extension())).ok_or_else(|| {
+            let path = path.display();
+            Usage(format!("{path}: the extension chooses the format: json, bvh or npy"))
+        })
     }
 }
 
@@ -122,10 +113,7 @@ impl OutputArgs {
             FileFormat::Json => OutputFormat::Json,
             FileFormat::Bvh => OutputFormat::Bvh,
         };
-        let json = JsonOptions {
-            rotations: self.include_rotations,
-            ..options.json()
-        };
+        let json = JsonOptions { rotations: self.include_rotations, ..options.json() };
         let bytes = format.write(dance, &json, options.bvh_unit());
         write_file(path, bytes?)
     }
@@ -134,10 +122,9 @@ impl OutputArgs {
 /// Checks that a file's folder exists, before hours of work instead of after.
 pub(super) fn check_folder_of(file: &Path) -> Result<(), Usage> {
     match file.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => Err(Usage(format!(
-            "{}: there is no such folder",
-            folder.display()
-        ))),
+        Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => {
+            Err(Usage(format!("{}: there is no such folder", folder.display())))
+        }
         _ => Ok(()),
     }
 }

@@ -14,10 +14,8 @@ pub(super) struct ServeArgs {
 
 pub(super) fn run(args: &ServeArgs) -> anyhow::Result<()> {
     // Dropped at the end: it sends the remaining traces.
-    let _telemetry = server::init_telemetry(
-        args.config.json_output,
-        args.config.otlp_endpoint.as_deref(),
-    )?;
+    let _telemetry =
+        server::init_telemetry(args.config.json_output, args.config.otlp_endpoint.as_deref())?;
     match server::start(&args.config) {
         Err(ServeError::Limits(contradiction)) => Err(Usage(contradiction.to_string()).into()),
         ended => ended.context("the server failed"),

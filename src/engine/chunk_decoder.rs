@@ -26,13 +26,7 @@ pub(crate) struct ChunkDecoder {
 impl ChunkDecoder {
     /// Before the first chunk after the codes of `prompt`.
     pub(crate) fn new(prompt: Vec<[u32; 2]>, to_world: ToWorld) -> Self {
-        Self {
-            prompt,
-            decoded: 0,
-            to_world,
-            offset: Vec::new(),
-            walked: [0.0; 2],
-        }
+        Self { prompt, decoded: 0, to_world, offset: Vec::new(), walked: [0.0; 2] }
     }
 
     /// How far the root has come, x and z in metres, and its heading in radians.

@@ -46,14 +46,7 @@ impl ChunkPlan {
     /// A plan for `total` codes after those of `prompt`, and a decoder that sees `receptive` codes
     /// on either side of one.
     pub(crate) fn new(total: usize, prompt: Vec<[u32; 2]>, receptive: usize) -> Self {
-        Self {
-            receptive,
-            prompt,
-            total,
-            planned: 0,
-            size: CHUNK_CODES,
-            last: LAST_CHUNK,
-        }
+        Self { receptive, prompt, total, planned: 0, size: CHUNK_CODES, last: LAST_CHUNK }
     }
 
     /// With small chunks first, so that the first frames come soon.
@@ -63,11 +56,7 @@ impl ChunkPlan {
 
     /// With a first chunk of `size` codes.
     pub(crate) fn starting_with(self, size: usize) -> Self {
-        Self {
-            size,
-            last: 0,
-            ..self
-        }
+        Self { size, last: 0, ..self }
     }
 
     /// Whether all chunks are planned.
@@ -90,11 +79,7 @@ impl ChunkPlan {
         let codes = all.skip(first).copied().collect();
         self.planned += length;
         self.size = (2 * self.size).min(CHUNK_CODES);
-        Some(Chunk {
-            codes,
-            before: from - first,
-            length,
-        })
+        Some(Chunk { codes, before: from - first, length })
     }
 
     fn next_length(&self) -> usize {

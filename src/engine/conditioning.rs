@@ -32,10 +32,7 @@ impl Conditioning {
         columns: usize,
     ) -> Result<Self, EngineError> {
         let problem = if features.ncols() != columns || features.nrows() < 2 {
-            format!(
-                "expected at least 2 rows of {columns} columns, got {:?}",
-                features.dim()
-            )
+            format!("expected at least 2 rows of {columns} columns, got {:?}", features.dim())
         } else if features.iter().any(|value| !value.is_finite()) {
             "a value is not a finite number".into()
         } else {
@@ -47,10 +44,7 @@ impl Conditioning {
                 warnings: Vec::new(),
             });
         };
-        Err(EngineError::Option {
-            name: "features",
-            problem,
-        })
+        Err(EngineError::Option { name: "features", problem })
     }
 
     /// Tempo and beats for the caller.
@@ -66,9 +60,7 @@ impl Conditioning {
     /// Makes room for the prompt: its code stands before the first row, which the model is never
     /// conditioned on (ARCHITECTURE 3).
     pub(crate) fn after_prompt(mut self, frames_per_code: usize) -> Self {
-        let first = self
-            .features
-            .slice_axis(Axis(0), Slice::from(..PROMPT_CODES));
+        let first = self.features.slice_axis(Axis(0), Slice::from(..PROMPT_CODES));
         self.features = concatenate(Axis(0), &[first, self.features.view()])
             .unwrap_or_else(|_| unreachable!("both have the same columns"));
         for beat in &mut self.beats {
@@ -85,12 +77,7 @@ mod tests {
     #[test]
     fn rows_that_do_not_fit_the_model_are_refused() {
         let rows = |rows, columns, value| Array2::from_elem((rows, columns), value);
-        for wrong in [
-            rows(0, 3, 0.0),
-            rows(1, 3, 0.0),
-            rows(2, 4, 0.0),
-            rows(2, 3, f32::NAN),
-        ] {
+        for wrong in [rows(0, 3, 0.0), rows(1, 3, 0.0), rows(2, 4, 0.0), rows(2, 3, f32::NAN)] {
             assert!(Conditioning::new(wrong, None, 3).is_err());
         }
         assert!(Conditioning::new(rows(2, 3, 0.0), None, 3).is_ok());
@@ -99,10 +86,7 @@ mod tests {
     #[test]
     fn a_prompt_moves_rows_and_beats_back() {
         let rows = Array2::from_shape_fn((3, 2), |(row, column)| (10 * row + column) as f32);
-        let beats = Beats {
-            tempo_bpm: 90.0,
-            frames: vec![0, 30],
-        };
+        let beats = Beats { tempo_bpm: 90.0, frames: vec![0, 30] };
         let conditioning = Conditioning::new(rows.clone(), Some(beats), 2).unwrap();
         let info = conditioning.music_info().unwrap();
         assert_eq!((info.tempo_bpm, &info.beats_s[..]), (90.0, &[0.0, 0.5][..]));

@@ -136,10 +136,7 @@ impl MotionBuffer {
             }
         };
         let (walked, heading) = self.chunks.end();
-        let ending = Ending {
-            walked,
-            heading: heading as f32,
-        };
+        let ending = Ending { walked, heading: heading as f32 };
         let codes = &last.codes;
         let prompt = &prologue.prompt;
         let tail = prompt.tail(codes, ending, prologue.root_motion, &prologue.directory);
@@ -187,11 +184,7 @@ impl DecodeTask {
     fn run(self, decoder: &SharedDecoder) {
         match self {
             Self::Chunk(task) => task.run(decoder),
-            Self::Pose {
-                codes,
-                directory,
-                positions,
-            } => {
+            Self::Pose { codes, directory, positions } => {
                 let shown = guarded(|| pose(codes, decoder, directory.manifest()));
                 // The caller may have gone.
                 let _ = positions.send(shown);

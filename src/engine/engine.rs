@@ -81,9 +81,7 @@ struct Shared {
 
 impl fmt::Debug for Engine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Engine")
-            .field("model", &self.manifest().name)
-            .finish_non_exhaustive()
+        f.debug_struct("Engine").field("model", &self.manifest().name).finish_non_exhaustive()
     }
 }
 
@@ -123,13 +121,7 @@ impl Engine {
             scheduled,
         };
         let (preparer, audio) = threads::start_frontends(preparer, config.queue)?;
-        let engine = Self {
-            shared: Arc::new(Shared {
-                preparer,
-                audio,
-                decoding,
-            }),
-        };
+        let engine = Self { shared: Arc::new(Shared { preparer, audio, decoding }) };
         engine.warm_up()?;
         Ok(engine)
     }
@@ -152,9 +144,7 @@ impl Engine {
         };
         let (completion, generation) = Completion::new();
         let request = self.accept(options, &completion)?;
-        self.shared
-            .preparer
-            .schedule_conditioned(conditioning, request)?;
+        self.shared.preparer.schedule_conditioned(conditioning, request)?;
         generation.wait().map(drop)
     }
 
@@ -247,17 +237,8 @@ impl Engine {
         request: GenerationRequest,
         completion: &Arc<Completion>,
     ) -> Result<(), EngineError> {
-        let GenerationRequest {
-            music,
-            options,
-            progress,
-            stream,
-        } = request;
-        let request = AcceptedRequest {
-            progress,
-            stream,
-            ..self.accept(options, completion)?
-        };
+        let GenerationRequest { music, options, progress, stream } = request;
+        let request = AcceptedRequest { progress, stream, ..self.accept(options, completion)? };
         match music {
             MusicSource::Audio(audio) => {
                 let queue = &self.shared.audio.0;

@@ -28,10 +28,7 @@ pub(super) fn directory() -> (TempDir, Arc<ModelDirectory>) {
     let mut manifest: Value = serde_json::from_slice(&fs::read(default).unwrap()).unwrap();
     for (name, value) in [
         ("motion_frame", json!("world")),
-        (
-            "vocabulary",
-            json!({ "upper": VOCABULARY, "lower": VOCABULARY }),
-        ),
+        ("vocabulary", json!({ "upper": VOCABULARY, "lower": VOCABULARY })),
         ("start_codes", json!([])),
         ("suppressed_codes", json!({})),
         ("files", json!({})),
@@ -74,18 +71,12 @@ pub(super) struct FakeModel {
 
 impl FakeModel {
     pub(super) fn new(rows: usize) -> Self {
-        Self {
-            rows: vec![Vec::new(); rows],
-            script: Arc::default(),
-        }
+        Self { rows: vec![Vec::new(); rows], script: Arc::default() }
     }
 }
 
 fn failure(problem: &str) -> ModelError {
-    ModelError::Run {
-        graph: "fake",
-        problem: problem.to_owned(),
-    }
+    ModelError::Run { graph: "fake", problem: problem.to_owned() }
 }
 
 fn logits(window: &[[u32; 2]], music: ArrayView1<'_, f32>, half: usize) -> Vec<f32> {

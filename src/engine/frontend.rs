@@ -65,13 +65,9 @@ impl AudioFrontend {
         })?;
         progress.decoded(audio.duration_s);
         progress.stage(Stage::Features);
-        let conditioning = spent(&mut timings.features, "features", || {
-            self.features(audio.signals, cancel)
-        })?;
-        Ok(Conditioning {
-            warnings: audio.warnings,
-            ..conditioning
-        })
+        let conditioning =
+            spent(&mut timings.features, "features", || self.features(audio.signals, cancel))?;
+        Ok(Conditioning { warnings: audio.warnings, ..conditioning })
     }
 
     /// Features, and beats where there is a second signal for them.
@@ -82,17 +78,11 @@ impl AudioFrontend {
     ) -> Result<Conditioning, EngineError> {
         let mut signals = signals.into_iter();
         let slow = signals.next().unwrap_or_default();
-        let extract = || {
-            self.conditioning
-                .with(|extractor| extractor.extract_until(&slow, cancel))
-        };
+        let extract = || self.conditioning.with(|extractor| extractor.extract_until(&slow, cancel));
         let Some(fast) = signals.next() else {
             return Conditioning::new(extract()?, None, self.spec.columns);
         };
-        let track = || {
-            self.beats
-                .with(|extractor| extractor.beats_until(fast, cancel))
-        };
+        let track = || self.beats.with(|extractor| extractor.beats_until(fast, cancel));
         let (rows, beats) = side_by_side(extract, track);
         let (rows, beats) = (rows?, beats?);
         let rows = with_counts_of(&beats, rows, &self.spec.count_periods);
@@ -110,9 +100,7 @@ fn side_by_side<A: Send, B>(
         let beside = thread::Builder::new().spawn_scoped(scope, &shorter);
         let longer = longer();
         let shorter = match beside {
-            Ok(beside) => beside
-                .join()
-                .unwrap_or_else(|panicked| panic::resume_unwind(panicked)),
+            Ok(beside) => beside.join().unwrap_or_else(|panicked| panic::resume_unwind(panicked)),
             Err(_) => shorter(),
         };
         (shorter, longer)
@@ -129,11 +117,7 @@ struct ExtractorPool {
 
 impl ExtractorPool {
     fn new(rate: Rate, profile: Profile) -> Self {
-        Self {
-            rate,
-            profile,
-            idle: Mutex::new(Vec::new()),
-        }
+        Self { rate, profile, idle: Mutex::new(Vec::new()) }
     }
 
     /// Lends an extractor to `work`. One that saw a panic is not put back.

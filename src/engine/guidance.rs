@@ -30,10 +30,7 @@ impl ClassifierFreeGuidance {
         let mut timeless = music.to_owned();
         let mut timed = timeless.slice_axis_mut(Axis(1), Slice::from(first..));
         let mean = timed.mean_axis(Axis(0))?;
-        timed
-            .rows_mut()
-            .into_iter()
-            .for_each(|mut row| row.assign(&mean));
+        timed.rows_mut().into_iter().for_each(|mut row| row.assign(&mean));
         Some(Self { guidance, timeless })
     }
 
@@ -90,10 +87,7 @@ mod tests {
     #[test]
     fn what_time_changes_is_exaggerated() {
         for (guidance, wanted) in [(0.0, [1.0, 0.0]), (1.0, [1.0, 2.0]), (3.0, [1.0, 6.0])] {
-            let guide = ClassifierFreeGuidance {
-                guidance,
-                timeless: array![[0.0]],
-            };
+            let guide = ClassifierFreeGuidance { guidance, timeless: array![[0.0]] };
             let guided = guide.guide(aview1(&[1.0, 2.0]), aview1(&[1.0, 0.0]));
             assert_eq!(guided.collect::<Vec<_>>(), wanted);
         }

@@ -13,10 +13,7 @@ mod completion;
 mod conditioning;
 
 mod decoding;
-#[expect(
-    clippy::module_inception,
-    reason = "the engine itself is its largest part"
-)]
+#[expect(clippy::module_inception, reason = "the engine itself is its largest part")]
 mod engine;
 mod error;
 #[cfg(test)]

@@ -235,19 +235,13 @@ fn refuse(name: &'static str, problem: String) -> Result<(), EngineError> {
 }
 
 fn check_range(range: AudioRange) -> Result<(), EngineError> {
-    let AudioRange {
-        offset_s,
-        duration_s,
-    } = range;
+    let AudioRange { offset_s, duration_s } = range;
     if !offset_s.is_finite() || offset_s < 0.0 {
         let problem = format!("{offset_s} is not a time in seconds from 0 on");
         return refuse("offset_s", problem);
     }
     match duration_s.filter(|duration| !duration.is_finite() || *duration <= 0.0) {
-        Some(d) => refuse(
-            "duration_s",
-            format!("{d} is not a length in seconds above 0"),
-        ),
+        Some(d) => refuse("duration_s", format!("{d} is not a length in seconds above 0")),
         None => Ok(()),
     }
 }
@@ -259,10 +253,7 @@ fn check_between(
     highest: usize,
 ) -> Result<(), EngineError> {
     match value.filter(|value| !(lowest..=highest).contains(value)) {
-        Some(value) => refuse(
-            name,
-            format!("{value} is not between {lowest} and {highest}"),
-        ),
+        Some(value) => refuse(name, format!("{value} is not between {lowest} and {highest}")),
         None => Ok(()),
     }
 }

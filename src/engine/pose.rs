@@ -23,11 +23,8 @@ pub(crate) fn pose(
     let motion = manifest.motion_frame.into_world(decoded)?;
     let first = (repeats - shown) / 2 * manifest.frames_per_code;
     let middle = Slice::from(first..first + shown * manifest.frames_per_code);
-    let options = FinishOptions {
-        root_motion: false,
-        decoded_fps: manifest.fps,
-        ..FinishOptions::default()
-    };
+    let options =
+        FinishOptions { root_motion: false, decoded_fps: manifest.fps, ..FinishOptions::default() };
     let middle = motion.slice_axis(Axis(0), middle);
     Ok(motion::finish(middle, &manifest.skeleton, &options)?.positions)
 }

@@ -87,20 +87,14 @@ mod tests {
 
     #[test]
     fn a_motion_ends_where_it_walked_to_or_where_it_was_held() {
-        let before = Prompt {
-            place: [3.0, -2.0],
-            ..Prompt::default()
-        };
+        let before = Prompt { place: [3.0, -2.0], ..Prompt::default() };
         assert_eq!(before.place_after([0.5, 1.0], true), [3.5, -1.0]);
         assert_eq!(before.place_after([0.5, 1.0], false), [0.0, 0.0]);
     }
 
     #[test]
     fn a_short_motion_leaves_the_codes_before_it_as_well() {
-        let before = Prompt {
-            codes: vec![[1, 101], [2, 102]],
-            ..Prompt::default()
-        };
+        let before = Prompt { codes: vec![[1, 101], [2, 102]], ..Prompt::default() };
         let last = |count| before.last_codes(&[[3, 103], [4, 104]], count);
         assert_eq!(last(3), [[2, 102], [3, 103], [4, 104]]);
         assert_eq!(last(1), [[4, 104]]);

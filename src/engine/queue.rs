@@ -30,10 +30,7 @@ struct State<T> {
 impl<T: Entry> Queue<T> {
     pub(crate) fn new(capacity: usize) -> Self {
         Self {
-            state: Mutex::new(State {
-                waiting: VecDeque::new(),
-                closed: false,
-            }),
+            state: Mutex::new(State { waiting: VecDeque::new(), closed: false }),
             changed: Condvar::new(),
             capacity: capacity.max(1),
         }
@@ -52,9 +49,7 @@ impl<T: Entry> Queue<T> {
             state.waiting.retain(Entry::is_wanted);
         }
         if state.waiting.len() >= self.capacity {
-            return Err(EngineError::QueueFull {
-                capacity: self.capacity,
-            });
+            return Err(EngineError::QueueFull { capacity: self.capacity });
         }
         state.waiting.push_back(entry);
         self.changed.notify_one();

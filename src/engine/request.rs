@@ -47,12 +47,7 @@ impl GenerationRequest {
     }
 
     fn new(music: MusicSource, options: GenerationOptions) -> Self {
-        Self {
-            music,
-            options,
-            progress: Arc::new(()),
-            stream: None,
-        }
+        Self { music, options, progress: Arc::new(()), stream: None }
     }
 
     /// Reports to `progress`.
@@ -64,10 +59,7 @@ impl GenerationRequest {
     /// Sends the motion to `stream` as it is decoded.
     #[must_use]
     pub fn streamed_to(self, stream: Arc<dyn MotionStream>) -> Self {
-        Self {
-            stream: Some(stream),
-            ..self
-        }
+        Self { stream: Some(stream), ..self }
     }
 }
 

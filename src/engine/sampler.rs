@@ -29,11 +29,7 @@ pub(crate) struct Sampler {
 impl Sampler {
     pub(crate) fn new(sampling: Sampling, seed: u64) -> Self {
         let generator = ChaCha8Rng::seed_from_u64(seed);
-        Self {
-            sampling,
-            generator,
-            candidates: Vec::new(),
-        }
+        Self { sampling, generator, candidates: Vec::new() }
     }
 
     /// A sampler that draws other numbers of the same seed: those of a stream, the first of which
@@ -56,13 +52,10 @@ impl Sampler {
             return argmax(logits);
         }
         self.candidates.clear();
-        self.candidates
-            .extend(logits.map(|(code, logit)| (logit, code)));
+        self.candidates.extend(logits.map(|(code, logit)| (logit, code)));
         // Most likely first, smaller code first on ties, so that a seed means the same everywhere.
-        self.candidates
-            .sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        self.candidates
-            .truncate(self.sampling.top_k.unwrap_or(usize::MAX).max(1));
+        self.candidates.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        self.candidates.truncate(self.sampling.top_k.unwrap_or(usize::MAX).max(1));
         self.draw()
     }
 
@@ -99,10 +92,7 @@ fn argmax(logits: impl Iterator<Item = (u32, f32)>) -> u32 {
 /// [`EngineError::NoRandomness`] when the system has none to give.
 pub(crate) fn draw_seed() -> Result<u64, EngineError> {
     // 32 bits: short enough to be read out and typed again.
-    SysRng
-        .try_next_u32()
-        .map(u64::from)
-        .map_err(|e| EngineError::NoRandomness(e.to_string()))
+    SysRng.try_next_u32().map(u64::from).map_err(|e| EngineError::NoRandomness(e.to_string()))
 }
 
 #[cfg(test)]
@@ -157,9 +147,7 @@ mod tests {
         let seeded = sampler(1.0, None, 5);
         let draw = |stream: u64| {
             let mut sampler = seeded.stream(stream);
-            (0..50)
-                .map(|_| sampler.next(all([0.1, 0.2, 0.3, 0.4])))
-                .collect::<Vec<_>>()
+            (0..50).map(|_| sampler.next(all([0.1, 0.2, 0.3, 0.4]))).collect::<Vec<_>>()
         };
         assert_eq!(draw(1), draw(1));
         assert_ne!(draw(1), draw(2));
@@ -170,9 +158,7 @@ mod tests {
     fn a_seed_repeats_itself() {
         let draw = |seed| {
             let mut sampler = sampler(1.0, None, seed);
-            (0..50)
-                .map(|_| sampler.next(all([0.1, 0.2, 0.3, 0.4])))
-                .collect::<Vec<_>>()
+            (0..50).map(|_| sampler.next(all([0.1, 0.2, 0.3, 0.4]))).collect::<Vec<_>>()
         };
         assert_eq!(draw(5), draw(5));
         assert_ne!(draw(5), draw(6));

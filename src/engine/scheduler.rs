@@ -131,12 +131,7 @@ impl Scheduler {
 
     /// Takes a request.
     pub(crate) fn add(&mut self, request: ScheduledRequest) {
-        let ScheduledRequest {
-            sequence,
-            motion,
-            completion,
-            submitted,
-        } = request;
+        let ScheduledRequest { sequence, motion, completion, submitted } = request;
         let manifest = self.directory.manifest();
         match guarded(|| Ok(Sequence::new(sequence, manifest))) {
             Ok(sequence) => self.waiting.push_back(Request {
@@ -188,8 +183,7 @@ impl Scheduler {
 
     /// Drops cancelled requests, and those whose motion could not be made.
     fn drop_unwanted(&mut self) {
-        self.waiting
-            .retain(|request| request.completion.is_wanted());
+        self.waiting.retain(|request| request.completion.is_wanted());
         let unwanted = |request: &Request| !request.completion.is_wanted();
         while let Some(place) = self.running.iter().position(unwanted) {
             self.take_out(place);
@@ -216,11 +210,7 @@ impl Scheduler {
             return;
         }
         let mut free = self.free_rows();
-        while let Some(place) = self
-            .waiting
-            .iter()
-            .position(|one| one.sequence.rows() <= free)
-        {
+        while let Some(place) = self.waiting.iter().position(|one| one.sequence.rows() <= free) {
             self.start(place);
             free = self.free_rows();
         }
@@ -240,25 +230,20 @@ impl Scheduler {
                 return false;
             };
             let request = self.take_out(place);
-            self.waiting.push_back(Request {
-                fresh: true,
-                passed_over: 0,
-                ..request
-            });
+            self.waiting.push_back(Request { fresh: true, passed_over: 0, ..request });
         }
         true
     }
 
     /// Gives a waiting request its rows, the last ones.
     fn start(&mut self, place: usize) {
-        self.running
-            .extend(self.waiting.remove(place).map(|mut request| {
-                if request.started.is_none() {
-                    request.queued += request.joined.elapsed();
-                    request.started = Some(Instant::now());
-                }
-                request
-            }));
+        self.running.extend(self.waiting.remove(place).map(|mut request| {
+            if request.started.is_none() {
+                request.queued += request.joined.elapsed();
+                request.started = Some(Instant::now());
+            }
+            request
+        }));
     }
 
     fn free_rows(&self) -> usize {

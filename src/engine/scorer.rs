@@ -43,10 +43,7 @@ impl Scorer<'_> {
         let first = from.saturating_sub(CONTEXT);
         let seen: Vec<_> = candidates.iter().map(|codes| &codes[first..]).collect();
         let decoded = self.decoder.decode_batch(&seen)?;
-        decoded
-            .axis_iter(Axis(0))
-            .map(|motion| self.of_motion(motion, first, from..to))
-            .collect()
+        decoded.axis_iter(Axis(0)).map(|motion| self.of_motion(motion, first, from..to)).collect()
     }
 
     /// Scores the frames of some codes, given the motion from that of code `first` on.
@@ -62,10 +59,7 @@ impl Scorer<'_> {
         let beats = dance_beats(&speed).into_iter();
         let beats: Vec<usize> = beats.map(|frame| first * per_code + frame).collect();
         let scored = codes.start * per_code..codes.end * per_code;
-        let (start, end) = (
-            scored.start - first * per_code,
-            scored.end - first * per_code,
-        );
+        let (start, end) = (scored.start - first * per_code, scored.end - first * per_code);
         // There is one speed fewer than frames.
         let speed = &speed[start..end.min(speed.len())];
         let mut frames = motion.rows().into_iter().skip(start).take(end - start);
@@ -92,9 +86,7 @@ mod tests {
 
     #[test]
     fn a_pelvis_is_above_the_lowest_joint() {
-        let frame = array![
-            9.0, -9.0, 9.0, 0.1, -0.5, 0.2, 0.0, -0.8, -1.0, 0.3, 0.6, -2.0
-        ];
+        let frame = array![9.0, -9.0, 9.0, 0.1, -0.5, 0.2, 0.0, -0.8, -1.0, 0.3, 0.6, -2.0];
         assert_eq!(pelvis_height(frame.view()), 0.8);
     }
 }

@@ -108,10 +108,7 @@ mod tests {
     #[test]
     fn a_segment_that_repeats_its_lower_codes_may_freeze() {
         let codes = |lower: &[u32]| -> Vec<[u32; 2]> {
-            (0..)
-                .zip(lower)
-                .map(|(upper, &lower)| [upper, lower])
-                .collect()
+            (0..).zip(lower).map(|(upper, &lower)| [upper, lower]).collect()
         };
         // One of the four codes from the second on is the one before it, then none.
         assert!(may_freeze(&codes(&[1, 2, 2, 3, 4]), 1));
@@ -143,11 +140,7 @@ mod tests {
 
     #[test]
     fn a_freezing_best_candidate_is_not_the_last() {
-        let score = |meeting: f64, slow: f64| Score {
-            meeting,
-            slow,
-            low: false,
-        };
+        let score = |meeting: f64, slow: f64| Score { meeting, slow, low: false };
         let mut segment = Segment::default();
         segment.consider(score(0.9, 0.5), vec![[1; 2]]);
         segment.consider(score(0.8, 0.3), vec![[2; 2]]);
@@ -156,10 +149,7 @@ mod tests {
         segment.consider(score(0.5, 0.0), vec![[4; 2]]);
         assert_eq!(segment.tried(), 4);
         assert!(!segment.needs(2));
-        let low = Score {
-            low: true,
-            ..score(1.0, 0.0)
-        };
+        let low = Score { low: true, ..score(1.0, 0.0) };
         segment.consider(low, vec![[5; 2]]);
         assert_eq!(segment.into_best(), Some(vec![[3; 2]]));
         // The number of tries is bounded.

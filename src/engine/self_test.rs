@@ -35,16 +35,10 @@ pub(crate) fn test_window(
     model.clear(0);
     if !before.is_empty() {
         let music = music.slice_axis(Axis(0), Slice::from(..context - 1));
-        let steps = Steps {
-            codes: before,
-            music,
-        };
+        let steps = Steps { codes: before, music };
         model.prefill(0, steps)?;
     }
-    let logits = model.step(&[NextStep {
-        codes: newest,
-        music: music.row(context - 1),
-    }])?;
+    let logits = model.step(&[NextStep { codes: newest, music: music.row(context - 1) }])?;
     let found = [logits.upper.ncols(), logits.lower.ncols()];
     if found != sizes {
         let say = |[upper, lower]: [usize; 2]| format!("{upper} upper and {lower} lower");
@@ -73,11 +67,7 @@ pub(crate) fn test_chunks(
     let codes: Vec<_> = (0..2 * size).map(pair).collect();
     let whole = decoder.decode(&codes)?;
     if !whole.iter().all(|value| value.is_finite()) {
-        return Err(misfit(
-            "decoder.onnx",
-            "finite numbers".into(),
-            "a value that is none".into(),
-        ));
+        return Err(misfit("decoder.onnx", "finite numbers".into(), "a value that is none".into()));
     }
     // As it is decoded: in the world's directions, differences would be summed.
     let as_decoded = ToWorld::new(MotionFrame::World, 0.0);
@@ -90,10 +80,7 @@ pub(crate) fn test_chunks(
     let differences = whole.iter().zip(&chunked).map(|(a, b)| (a - b).abs());
     let worst = differences.clone().fold(0.0, f32::max);
     // Each is compared: the maximum would skip NaN.
-    if differences
-        .into_iter()
-        .all(|difference| difference <= CHUNK_TOLERANCE)
-    {
+    if differences.into_iter().all(|difference| difference <= CHUNK_TOLERANCE) {
         return Ok(());
     }
     Err(misfit(
@@ -104,12 +91,7 @@ pub(crate) fn test_chunks(
 }
 
 fn misfit(what: &'static str, expected: String, got: String) -> EngineError {
-    ModelError::Input {
-        what,
-        expected,
-        got,
-    }
-    .into()
+    ModelError::Input { what, expected, got }.into()
 }
 
 #[cfg(test)]
@@ -127,26 +109,17 @@ mod tests {
         test_window(&mut model, manifest).unwrap();
         model.script.lock().no_numbers = Some(0.0);
         let refused = test_window(&mut model, manifest).unwrap_err().to_string();
-        assert!(
-            refused.contains("not finite") && !refused.contains('\n'),
-            "{refused}"
-        );
+        assert!(refused.contains("not finite") && !refused.contains('\n'), "{refused}");
     }
 
     #[test]
     fn a_decoder_of_no_numbers_is_refused_in_one_line() {
         let (_folder, directory) = directory();
         let manifest = directory.manifest();
-        let mut decoder = FakeDecoder {
-            columns: manifest.decoded_columns(),
-            last: 0.0,
-        };
+        let mut decoder = FakeDecoder { columns: manifest.decoded_columns(), last: 0.0 };
         test_chunks(&mut decoder, manifest).unwrap();
         decoder.last = f32::NAN;
         let refused = test_chunks(&mut decoder, manifest).unwrap_err().to_string();
-        assert!(
-            refused.contains("finite") && !refused.contains('\n'),
-            "{refused}"
-        );
+        assert!(refused.contains("finite") && !refused.contains('\n'), "{refused}");
     }
 }

@@ -161,10 +161,7 @@ impl Sequence {
     /// Gives each a generator of its own, so that it comes out the same however many are beside it.
     fn begin_candidates(&mut self) {
         self.cold = true;
-        let candidate = |sampler: Sampler| Candidate {
-            codes: self.committed.clone(),
-            sampler,
-        };
+        let candidate = |sampler: Sampler| Candidate { codes: self.committed.clone(), sampler };
         if !self.request.is_scored() {
             self.candidates = vec![candidate(self.sampler.clone())];
             return;
@@ -342,18 +339,13 @@ impl Sequence {
 /// Codes with their rows of music.
 fn steps<'a>(codes: &'a [[u32; 2]], music: ArrayView2<'a, f32>, range: Range<usize>) -> Steps<'a> {
     let rows = Slice::from(range.start + 1..range.end + 1);
-    Steps {
-        codes: &codes[range],
-        music: music.slice_axis_move(Axis(0), rows),
-    }
+    Steps { codes: &codes[range], music: music.slice_axis_move(Axis(0), rows) }
 }
 
 /// The logits of some codes, ascending, out of those of all.
 fn of_codes(codes: &[u32], logits: impl Iterator<Item = f32>) -> impl Iterator<Item = (u32, f32)> {
     let mut wanted = codes.iter().copied().peekable();
-    (0..)
-        .zip(logits)
-        .filter(move |&(code, _)| wanted.next_if_eq(&code).is_some())
+    (0..).zip(logits).filter(move |&(code, _)| wanted.next_if_eq(&code).is_some())
 }
 
 #[cfg(test)]

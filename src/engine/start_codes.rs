@@ -12,9 +12,7 @@ pub(super) fn start_codes(
     sampler: &mut Sampler,
 ) -> [u32; 2] {
     let drawn = match pairs {
-        [] => drawable
-            .each_ref()
-            .map(|codes| codes[sampler.uniform(codes.len())]),
+        [] => drawable.each_ref().map(|codes| codes[sampler.uniform(codes.len())]),
         pairs => pairs[sampler.uniform(pairs.len())],
     };
     [0, 1].map(|half| given[half].unwrap_or(drawn[half]))
@@ -26,10 +24,7 @@ mod tests {
 
     #[test]
     fn starts_are_drawn_from_pairs_or_from_what_may_be_drawn() {
-        let sampling = Sampling {
-            temperature: 1.0,
-            top_k: None,
-        };
+        let sampling = Sampling { temperature: 1.0, top_k: None };
         let mut sampler = Sampler::new(sampling, 3);
         let drawable = [vec![4], vec![1, 9]];
         let mut seen = [0; 2];

@@ -83,15 +83,11 @@ mod tests {
     #[test]
     fn hop_shrinks_at_the_steps_the_specification_lists() {
         let window = Window::new(WindowKind::Hop, 15, 28);
-        let prefills: Vec<_> = (0..75)
-            .filter(|&step| matches!(window.at(step), WindowStep::Prefill { .. }))
-            .collect();
+        let prefills: Vec<_> =
+            (0..75).filter(|&step| matches!(window.at(step), WindowStep::Prefill { .. })).collect();
         assert_eq!(prefills, [0, 28, 29, 43, 57, 71]);
         assert_eq!(window.length(28), 28);
-        assert_eq!(
-            (window.length(29), window.length(42), window.length(43)),
-            (15, 28, 15)
-        );
+        assert_eq!((window.length(29), window.length(42), window.length(43)), (15, 28, 15));
         // Golden manifest: window_len_at of shift15.
         assert_eq!((window.length(10), window.length(40)), (11, 26));
     }
@@ -99,10 +95,7 @@ mod tests {
     #[test]
     fn a_window_of_one_code_and_a_hop_of_the_whole_context_work() {
         let narrow = Window::new(WindowKind::Hop, 1, 28);
-        assert_eq!(
-            (narrow.length(29), narrow.length(56), narrow.length(57)),
-            (1, 28, 1)
-        );
+        assert_eq!((narrow.length(29), narrow.length(56), narrow.length(57)), (1, 28, 1));
         let wide = Window::new(WindowKind::Hop, 28, 28);
         assert!((28..60).all(|step| wide.length(step) == 28));
     }

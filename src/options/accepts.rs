@@ -28,9 +28,9 @@ impl Accepts {
         match self {
             Self::Words(words) => words.contains(&text),
             Self::IntegerOf(values) => text.parse().is_ok_and(|value| values.contains(&value)),
-            Self::Integer(least, most) => text
-                .parse::<u64>()
-                .is_ok_and(|value| (least..=most).contains(&value)),
+            Self::Integer(least, most) => {
+                text.parse::<u64>().is_ok_and(|value| (least..=most).contains(&value))
+            }
             Self::Number(most) => number().is_some_and(|value| (0.0..=most).contains(&value)),
             Self::PositiveNumber => number().is_some_and(|value| value > 0.0),
             Self::Boolean => text.parse::<bool>().is_ok(),

@@ -86,32 +86,17 @@ mod tests {
 
     fn parse(flags: &[&str]) -> Result<RequestOptions, String> {
         let parsed = Flags::try_parse_from([&["generate"], flags].concat());
-        parsed
-            .map(|flags| flags.options)
-            .map_err(|error| error.to_string())
+        parsed.map(|flags| flags.options).map_err(|error| error.to_string())
     }
 
     #[test]
     fn a_flag_sets_the_option_of_its_name() {
         let mut wanted = RequestOptions::default();
         assert_eq!(parse(&[]).as_ref(), Ok(&wanted));
-        for (name, value) in [
-            ("top_k", "7"),
-            ("redo", "true"),
-            ("fps", "24"),
-            ("bvh_unit", "m"),
-        ] {
+        for (name, value) in [("top_k", "7"), ("redo", "true"), ("fps", "24"), ("bvh_unit", "m")] {
             wanted.set(name, value).unwrap();
         }
-        let flags = [
-            "--fps=24",
-            "--bvh-unit",
-            "m",
-            "--redo",
-            "true",
-            "--top-k",
-            "7",
-        ];
+        let flags = ["--fps=24", "--bvh-unit", "m", "--redo", "true", "--top-k", "7"];
         let mut parsed = parse(&flags).unwrap();
         // In the order of the list.
         wanted.given.sort_unstable();

@@ -47,11 +47,7 @@ impl OptionSpec {
         }
         match text.len() <= LONGEST_VALUE && self.accepts.admits(text) {
             true => Ok(()),
-            false => Err(format!(
-                "got {:?}, expected {}",
-                shorten(text),
-                self.accepts
-            )),
+            false => Err(format!("got {:?}, expected {}", shorten(text), self.accepts)),
         }
     }
 }
@@ -62,12 +58,7 @@ impl RequestOptions {
     /// # Errors
     /// [`OptionError`] names the option and what is accepted.
     pub(crate) fn set(&mut self, name: &str, text: &str) -> Result<(), OptionError> {
-        let refuse = |problem: String| {
-            Err(OptionError {
-                name: shorten(name),
-                problem,
-            })
-        };
+        let refuse = |problem: String| Err(OptionError { name: shorten(name), problem });
         let Some(option) = OPTIONS.iter().find(|option| option.name == name) else {
             let all = names(OPTIONS.iter());
             return refuse(format!("there is no such option; there are {all}"));
@@ -182,9 +173,7 @@ mod tests {
         let mut options = RequestOptions::default();
         for pair in text.split('&').filter(|pair| !pair.is_empty()) {
             let (name, value) = pair.split_once('=').unwrap();
-            options
-                .set(name, value)
-                .map_err(|error| error.to_string())?;
+            options.set(name, value).map_err(|error| error.to_string())?;
         }
         Ok(options)
     }
@@ -220,10 +209,7 @@ mod tests {
                 continue_from: Some(tail),
                 window: Some(WindowKind::Sliding),
                 hop: Some(15),
-                range: AudioRange {
-                    offset_s: 1.5,
-                    duration_s: Some(20.0),
-                },
+                range: AudioRange { offset_s: 1.5, duration_s: Some(20.0) },
                 fps: 24,
                 root_motion: false,
                 music: true,
@@ -244,14 +230,8 @@ mod tests {
     fn a_wrong_option_is_refused_with_what_is_accepted() {
         let long = format!("seed={}", "1".repeat(10_000));
         for (text, wanted) in [
-            (
-                "fps=25",
-                "option `fps`: got \"25\", expected one of 20, 24, 30, 60",
-            ),
-            (
-                "seed=-1",
-                "expected a whole number from 0 to 9007199254740991",
-            ),
+            ("fps=25", "option `fps`: got \"25\", expected one of 20, 24, 30, 60"),
+            ("seed=-1", "expected a whole number from 0 to 9007199254740991"),
             ("seed=9007199254740992", "option `seed`"),
             ("seed=", "option `seed`: got \"\""),
             ("temperature=warm", "expected a number from 0 to 10"),
@@ -260,28 +240,16 @@ mod tests {
             ("temperature=1e300", "option `temperature`"),
             ("temperature=-0.1", "option `temperature`"),
             ("guidance=11", "option `guidance`"),
-            (
-                "candidates=17",
-                "`candidates`: got \"17\", expected a whole number from 1 to 16",
-            ),
+            ("candidates=17", "`candidates`: got \"17\", expected a whole number from 1 to 16"),
             ("top_k=0", "expected a whole number from 1 to"),
             ("start_upper=4294967296", "option `start_upper`"),
             ("duration_s=0", "expected a number above 0"),
             ("duration_s=inf", "option `duration_s`"),
             ("root_motion=maybe", "expected true or false"),
             ("include=everything", "expected rotations"),
-            (
-                "seed=1&seed=1",
-                "option `seed`: it was given more than once",
-            ),
-            (
-                "sede=1",
-                "there is no such option; there are seed, temperature, top_k,",
-            ),
-            (
-                "continue_from=x",
-                "expected the `tail` that came with an earlier dance",
-            ),
+            ("seed=1&seed=1", "option `seed`: it was given more than once"),
+            ("sede=1", "there is no such option; there are seed, temperature, top_k,"),
+            ("continue_from=x", "expected the `tail` that came with an earlier dance"),
             ("format=glb", "glb is not available yet in this version"),
             ("format=mp4", "expected one of json, bvh"),
             (&long, "1.."),

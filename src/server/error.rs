@@ -38,10 +38,7 @@ pub(crate) struct ErrorEvent {
 
 impl ErrorEvent {
     pub(crate) fn new(report: &Report, request_id: &str) -> Self {
-        Self {
-            event: "error",
-            body: report.body(request_id),
-        }
+        Self { event: "error", body: report.body(request_id) }
     }
 }
 
@@ -287,9 +284,7 @@ impl IntoResponse for ServerError {
         let mut response = self.report().into_response();
         if response.status() == StatusCode::UNAUTHORIZED {
             let scheme = HeaderValue::from_static("Bearer");
-            response
-                .headers_mut()
-                .insert(header::WWW_AUTHENTICATE, scheme);
+            response.headers_mut().insert(header::WWW_AUTHENTICATE, scheme);
         }
         response
     }
@@ -300,9 +295,7 @@ impl IntoResponse for Report {
         let mut response = Response::new(Body::empty());
         *response.status_mut() = self.status;
         if let Some(seconds) = self.retry_after {
-            response
-                .headers_mut()
-                .insert(header::RETRY_AFTER, HeaderValue::from(seconds));
+            response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from(seconds));
         }
         response.extensions_mut().insert(self);
         response
@@ -313,30 +306,24 @@ impl IntoResponse for Report {
 /// layer keeps its status and gets a message that fits it.
 pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response<Body> {
     let (mut parts, _) = response.into_parts();
-    let report = parts
-        .extensions
-        .remove::<Report>()
-        .unwrap_or_else(|| Report {
-            status: parts.status,
-            retry_after: None,
-            repeated: false,
-            message: parts
-                .status
-                .canonical_reason()
-                .unwrap_or("the request cannot be answered")
-                .to_lowercase(),
-            error_type: match parts.status {
-                StatusCode::NOT_FOUND => "not_found",
-                status if status.is_server_error() => "internal",
-                _ => "invalid_request",
-            },
-        });
+    let report = parts.extensions.remove::<Report>().unwrap_or_else(|| Report {
+        status: parts.status,
+        retry_after: None,
+        repeated: false,
+        message: parts
+            .status
+            .canonical_reason()
+            .unwrap_or("the request cannot be answered")
+            .to_lowercase(),
+        error_type: match parts.status {
+            StatusCode::NOT_FOUND => "not_found",
+            status if status.is_server_error() => "internal",
+            _ => "invalid_request",
+        },
+    });
     let body = serde_json::json!(report.body(request_id)).to_string();
     parts.headers.remove(header::CONTENT_LENGTH);
-    parts.headers.insert(
-        header::CONTENT_TYPE,
-        HeaderValue::from_static("application/json"),
-    );
+    parts.headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/json"));
     Response::from_parts(parts, Body::from(body))
 }
 
@@ -350,11 +337,7 @@ mod tests {
         let probed = ServerError::ModelStopped.report();
         assert_eq!(
             (stopped.status, stopped.error_type, stopped.retry_after),
-            (
-                StatusCode::SERVICE_UNAVAILABLE,
-                "model_stopped",
-                probed.retry_after
-            )
+            (StatusCode::SERVICE_UNAVAILABLE, "model_stopped", probed.retry_after)
         );
         assert!(stopped.retry_after.is_some());
     }

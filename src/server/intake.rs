@@ -114,10 +114,7 @@ fn shape(
             lines: false,
         }),
         // The answer to the order itself is JSON always.
-        Purpose::Job => Ok(Shape {
-            format: options.format.unwrap_or_default(),
-            lines: false,
-        }),
+        Purpose::Job => Ok(Shape { format: options.format.unwrap_or_default(), lines: false }),
         Purpose::Stream => match options.format {
             None | Some(OutputFormat::Json) => Ok(Shape {
                 format: OutputFormat::Json,

@@ -146,9 +146,7 @@ impl Job {
     /// Whether somebody probably waits for its result still.
     pub(crate) fn is_awaited(&self, within: Duration) -> bool {
         let kept = self.kept();
-        let last = kept
-            .done_at
-            .map_or(kept.asked_about, |done| done.max(kept.asked_about));
+        let last = kept.done_at.map_or(kept.asked_about, |done| done.max(kept.asked_about));
         !self.fetched.is_cancelled() && last.elapsed() < within
     }
 }
@@ -164,11 +162,7 @@ pub(crate) struct MemoryStore {
 impl MemoryStore {
     /// For at most `most` jobs; finished ones make room after `ttl`.
     pub(crate) fn new(most: usize, ttl: Seconds) -> Self {
-        Self {
-            most,
-            ttl,
-            jobs: Mutex::new(HashMap::new()),
-        }
+        Self { most, ttl, jobs: Mutex::new(HashMap::new()) }
     }
 
     fn jobs(&self) -> MutexGuard<'_, HashMap<Uuid, Arc<Job>>> {
@@ -180,13 +174,8 @@ impl MemoryStore {
     fn full(&self, jobs: &HashMap<Uuid, Arc<Job>>) -> ServerError {
         // The next place is free when the oldest result goes, if nobody deletes one.
         let oldest = jobs.values().filter_map(|job| job.done_for()).max();
-        let wait = oldest.map_or(Duration::from_secs(10), |age| {
-            self.ttl.0.saturating_sub(age)
-        });
-        ServerError::TooManyJobs {
-            most: self.most,
-            retry_after: Seconds(wait),
-        }
+        let wait = oldest.map_or(Duration::from_secs(10), |age| self.ttl.0.saturating_sub(age));
+        ServerError::TooManyJobs { most: self.most, retry_after: Seconds(wait) }
     }
 }
 
@@ -253,10 +242,7 @@ mod tests {
         store.put(Arc::clone(&first)).unwrap();
         std::thread::sleep(Duration::from_millis(40));
         assert!(store.get(first.id).is_some(), "it is not finished");
-        assert!(matches!(
-            store.put(job()),
-            Err(ServerError::TooManyJobs { most: 1, .. })
-        ));
+        assert!(matches!(store.put(job()), Err(ServerError::TooManyJobs { most: 1, .. })));
         first.turn(failed());
         assert!(store.check_room().is_err());
         std::thread::sleep(Duration::from_millis(40));

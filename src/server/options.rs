@@ -23,10 +23,7 @@ impl RequestOptions {
         let mut options = Self::default();
         let Query(pairs) =
             Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|rejection| {
-                ServerError::Option {
-                    name: "query".to_owned(),
-                    problem: rejection.body_text(),
-                }
+                ServerError::Option { name: "query".to_owned(), problem: rejection.body_text() }
             })?;
         for (name, text) in pairs {
             options.set(&name, &text)?;

@@ -32,9 +32,8 @@ pub(crate) fn router_with(state: SharedState, access: &Access) -> Router {
     let gate = Arc::new(auth::Gate::new(access, &state.limits));
     // Before anything of a body is read.
     let auth = middleware::from_fn_with_state(gate, auth::admit);
-    let (routes, document) = openapi::public_routes()
-        .merge(openapi::keyed_routes().route_layer(auth))
-        .split_for_parts();
+    let (routes, document) =
+        openapi::public_routes().merge(openapi::keyed_routes().route_layer(auth)).split_for_parts();
     let docs = SwaggerUi::new("/docs").url("/api-doc/openapi.json", document);
     let metrics = Arc::clone(&state.metrics);
     let routes = routes
@@ -50,9 +49,7 @@ pub(crate) fn router_with(state: SharedState, access: &Access) -> Router {
 }
 
 async fn not_found(uri: Uri) -> ServerError {
-    ServerError::NotFound {
-        path: shorten(uri.path()),
-    }
+    ServerError::NotFound { path: shorten(uri.path()) }
 }
 
 /// Answers a wrong method; the router adds `Allow`.

@@ -121,9 +121,7 @@ impl ServerState {
     /// # Errors
     /// [`ServerError::Loading`] as long as there is no model.
     pub(crate) fn loaded(&self) -> Result<&Loaded, ServerError> {
-        self.loaded.get().ok_or(ServerError::Loading {
-            retry_after: LOADING_RETRY,
-        })
+        self.loaded.get().ok_or(ServerError::Loading { retry_after: LOADING_RETRY })
     }
 
     /// # Errors
@@ -158,8 +156,6 @@ impl ServerState {
 
     /// The answer to new requests once the server was told to stop.
     pub(crate) fn draining(&self) -> ServerError {
-        ServerError::Draining {
-            retry_after: self.limits.shutdown_timeout,
-        }
+        ServerError::Draining { retry_after: self.limits.shutdown_timeout }
     }
 }

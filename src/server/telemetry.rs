@@ -53,9 +53,8 @@ impl Drop for Telemetry {
 pub fn init_telemetry(json: bool, collector: Option<&str>) -> Result<Telemetry, TelemetryError> {
     let filter =
         EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(DEFAULT_FILTER));
-    let log = tracing_subscriber::fmt::layer()
-        .with_ansi(stderr().is_terminal())
-        .with_writer(stderr);
+    let log =
+        tracing_subscriber::fmt::layer().with_ansi(stderr().is_terminal()).with_writer(stderr);
     let log = match json {
         true => log.json().with_filter(filter).boxed(),
         false => log.with_filter(filter).boxed(),
@@ -67,10 +66,7 @@ pub fn init_telemetry(json: bool, collector: Option<&str>) -> Result<Telemetry, 
             .with_filter(EnvFilter::new(DEFAULT_FILTER))
     });
     // Fails only when there is a log already.
-    let _ = tracing_subscriber::registry()
-        .with(traces)
-        .with(log)
-        .try_init();
+    let _ = tracing_subscriber::registry().with(traces).with(log).try_init();
     Ok(Telemetry(provider))
 }
 
@@ -82,17 +78,9 @@ fn provider(endpoint: &str) -> Result<SdkTracerProvider, TelemetryError> {
         .with_endpoint(traces_at(endpoint))
         .with_timeout(EXPORT_TIMEOUT)
         .build()
-        .map_err(|source| TelemetryError {
-            endpoint: endpoint.to_owned(),
-            source,
-        })?;
-    let resource = Resource::builder()
-        .with_service_name(env!("CARGO_PKG_NAME"))
-        .build();
-    Ok(SdkTracerProvider::builder()
-        .with_batch_exporter(exporter)
-        .with_resource(resource)
-        .build())
+        .map_err(|source| TelemetryError { endpoint: endpoint.to_owned(), source })?;
+    let resource = Resource::builder().with_service_name(env!("CARGO_PKG_NAME")).build();
+    Ok(SdkTracerProvider::builder().with_batch_exporter(exporter).with_resource(resource).build())
 }
 
 fn traces_at(endpoint: &str) -> String {
@@ -134,11 +122,9 @@ mod tests {
 
     #[test]
     fn the_path_of_traces_is_added_once() {
-        for endpoint in [
-            "http://localhost:4318",
-            "http://localhost:4318/",
-            "http://localhost:4318/v1/traces",
-        ] {
+        for endpoint in
+            ["http://localhost:4318", "http://localhost:4318/", "http://localhost:4318/v1/traces"]
+        {
             assert_eq!(traces_at(endpoint), "http://localhost:4318/v1/traces");
         }
     }

@@ -121,10 +121,7 @@ pub(crate) struct Waiting {
 
 impl Waiting {
     pub(crate) fn of(tracker: &Arc<RequestTracker>) -> Self {
-        Self {
-            tracker: Arc::clone(tracker),
-            answered: false,
-        }
+        Self { tracker: Arc::clone(tracker), answered: false }
     }
 
     /// There is an answer, good or bad.
@@ -163,10 +160,7 @@ impl Work {
     /// Work begins.
     pub(crate) fn begin(tracker: &Arc<RequestTracker>, held: Held) -> Arc<Self> {
         tracker.state().working = true;
-        Arc::new(Self {
-            tracker: Arc::clone(tracker),
-            held: Mutex::new(held),
-        })
+        Arc::new(Self { tracker: Arc::clone(tracker), held: Mutex::new(held) })
     }
 
     pub(crate) fn tracker(&self) -> &RequestTracker {
@@ -233,11 +227,7 @@ mod tests {
     }
 
     fn begin(tracker: &Arc<RequestTracker>) -> Arc<Work> {
-        let held = Held {
-            upload: None,
-            audio: None,
-            permit: None,
-        };
+        let held = Held { upload: None, audio: None, permit: None };
         Work::begin(tracker, held)
     }
 

@@ -29,16 +29,8 @@ impl Order {
         state: &SharedState,
         permit: Permit,
     ) -> Result<(GenerationRequest, Arc<Work>), ServerError> {
-        let audio = state
-            .resources
-            .audio
-            .reserve(self.most_seconds(&state.limits))
-            .await;
-        let held = Held {
-            upload: self.upload.take(),
-            audio: Some(audio),
-            permit: Some(permit),
-        };
+        let audio = state.resources.audio.reserve(self.most_seconds(&state.limits)).await;
+        let held = Held { upload: self.upload.take(), audio: Some(audio), permit: Some(permit) };
         let work = Work::begin(&self.tracker, held);
         let audio = std::mem::take(&mut self.audio);
         let options = self.options.generation(self.shape.format);

@@ -14,29 +14,20 @@ pub(crate) struct Circle {
 /// Returns the strongly connected parts of more than one file.
 pub(crate) fn circles(edges: &Edges) -> Vec<Circle> {
     let files: BTreeSet<&String> = edges.keys().flat_map(|(from, to)| [from, to]).collect();
-    let reached: BTreeMap<_, _> = files
-        .iter()
-        .map(|file| (*file, reach(edges, file)))
-        .collect();
+    let reached: BTreeMap<_, _> = files.iter().map(|file| (*file, reach(edges, file))).collect();
     let mut circles = Vec::new();
     let mut placed = BTreeSet::new();
     for file in files {
         if !reached[file].contains(file) || placed.contains(file) {
             continue;
         }
-        let members: BTreeSet<String> = reached[file]
-            .iter()
-            .filter(|other| reached[*other].contains(file))
-            .cloned()
-            .collect();
+        let members: BTreeSet<String> =
+            reached[file].iter().filter(|other| reached[*other].contains(file)).cloned().collect();
         let inside = |(from, to): &(String, String)| members.contains(from) && members.contains(to);
         let edges = edges.iter().filter(|(pair, _)| inside(pair));
         let edges = edges.map(|((from, to), name)| (from.clone(), to.clone(), name.clone()));
         placed.extend(members.iter().cloned());
-        circles.push(Circle {
-            edges: edges.collect(),
-            files: members,
-        });
+        circles.push(Circle { edges: edges.collect(), files: members });
     }
     circles
 }

@@ -42,20 +42,9 @@ const LEVELS: [(&str, u8); 11] = [
 
 /// Libraries that only some files may name: the libraries, where, why.
 const CONFINED: [(&[&str], &[&str], &str); 2] = [
+    (&["ort"], &["crates/bailando-model/src/"], "only the model crate knows ONNX Runtime"),
     (
-        &["ort"],
-        &["crates/bailando-model/src/"],
-        "only the model crate knows ONNX Runtime",
-    ),
-    (
-        &[
-            "axum",
-            "http_body_util",
-            "hyper",
-            "hyper_util",
-            "tower",
-            "tower_http",
-        ],
+        &["axum", "http_body_util", "hyper", "hyper_util", "tower", "tower_http"],
         &["src/server/", "src/cli/healthcheck.rs"],
         "only the server knows HTTP",
     ),
@@ -136,51 +125,27 @@ fn files_form_no_circle() {
 
 /// Circles in a crate of these files, each as the names of its files.
 fn circles_of(files: &[(&str, &str)]) -> Vec<Vec<String>> {
-    let files = files
-        .iter()
-        .map(|(path, text)| (PathBuf::from(path), path.to_string(), text.to_string()));
+    let files =
+        files.iter().map(|(path, text)| (PathBuf::from(path), path.to_string(), text.to_string()));
     let circles = circles(&Crate::parse(files).edges());
-    circles
-        .into_iter()
-        .map(|circle| circle.files.into_iter().collect())
-        .collect()
+    circles.into_iter().map(|circle| circle.files.into_iter().collect()).collect()
 }
 
 #[test]
 fn a_child_that_uses_its_users_items_closes_a_circle() {
     let parent = "mod a; mod b; pub use a::A; pub use b::B; pub struct Own; fn f() { b::run() }";
     let leaf = ("a.rs", "pub struct A; // crate::b::B");
-    let found = circles_of(&[
-        ("lib.rs", parent),
-        leaf,
-        ("b.rs", "use super::A; pub fn run() {}"),
-    ]);
-    assert!(
-        found.is_empty(),
-        "declaring and re-exporting is no use: {found:?}"
-    );
-    let found = circles_of(&[
-        ("lib.rs", parent),
-        leaf,
-        ("b.rs", "fn run(_: super::Own) {}"),
-    ]);
+    let found = circles_of(&[("lib.rs", parent), leaf, ("b.rs", "use super::A; pub fn run() {}")]);
+    assert!(found.is_empty(), "declaring and re-exporting is no use: {found:?}");
+    let found = circles_of(&[("lib.rs", parent), leaf, ("b.rs", "fn run(_: super::Own) {}")]);
     assert_eq!(found, [["b.rs", "lib.rs"]]);
     let siblings = [
         ("lib.rs", "mod a; mod b; pub use b::B;"),
-        (
-            "a.rs",
-            "use crate::{b, B as Other}; pub struct A; const TEXT: &str = \"b::C\";",
-        ),
-        (
-            "b.rs",
-            "pub struct B; fn f<'a>() -> impl Sized + use<'a> { crate::a::A }",
-        ),
+        ("a.rs", "use crate::{b, B as Other}; pub struct A; const TEXT: &str = \"b::C\";"),
+        ("b.rs", "pub struct B; fn f<'a>() -> impl Sized + use<'a> { crate::a::A }"),
     ];
     assert_eq!(circles_of(&siblings), [["a.rs", "b.rs"]]);
-    let tested = (
-        "b.rs",
-        "pub struct B; #[cfg(test)] mod tests { use crate::a::A; }",
-    );
+    let tested = ("b.rs", "pub struct B; #[cfg(test)] mod tests { use crate::a::A; }");
     let found = circles_of(&[siblings[0], siblings[1], tested]);
     assert!(found.is_empty(), "what tests use does not count: {found:?}");
 }
@@ -204,36 +169,18 @@ fn dependencies(manifest: &str) -> (Vec<&str>, Vec<&str>) {
 
 #[test]
 fn dependencies_point_down() {
-    let level = |name: &str| {
-        LEVELS
-            .iter()
-            .find(|(of, _)| *of == name)
-            .map(|(_, level)| *level)
-    };
+    let level = |name: &str| LEVELS.iter().find(|(of, _)| *of == name).map(|(_, level)| *level);
     for folder in crate_folders() {
         let manifest = read(&folder.join("Cargo.toml"));
         let package = manifest.split("[package]\n").nth(1).unwrap();
-        let name = package
-            .lines()
-            .next()
-            .unwrap()
-            .trim_start_matches("name = ")
-            .trim_matches('"');
+        let name = package.lines().next().unwrap().trim_start_matches("name = ").trim_matches('"');
         let own = level(name).unwrap_or_else(|| panic!("{name} has no level in this test"));
         let (normal, development) = dependencies(&manifest);
-        for used in normal
-            .iter()
-            .chain(&development)
-            .filter(|name| name.starts_with("bailando"))
-        {
+        for used in normal.iter().chain(&development).filter(|name| name.starts_with("bailando")) {
             let is_testkit = *used == "bailando-testkit";
             let below = level(used).is_some_and(|level| level < own);
             assert!(
-                if is_testkit {
-                    development.contains(used)
-                } else {
-                    below
-                },
+                if is_testkit { development.contains(used) } else { below },
                 "{name} may not depend on {used}"
             );
         }

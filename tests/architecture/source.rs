@@ -48,9 +48,7 @@ pub(crate) fn tokens(text: &str) -> Names {
 
 /// Length of the string or character literal at the start of `rest`, if there is one.
 fn string(rest: &str) -> Option<usize> {
-    let prefix = rest
-        .find(|c: char| c != 'b' && c != 'r' && c != 'c')
-        .unwrap_or(0);
+    let prefix = rest.find(|c: char| c != 'b' && c != 'r' && c != 'c').unwrap_or(0);
     let body = &rest[prefix..];
     let hashes = body.len() - body.trim_start_matches('#').len();
     if prefix > 0 && rest[..prefix].contains('r') && body[hashes..].starts_with('"') {
@@ -58,10 +56,7 @@ fn string(rest: &str) -> Option<usize> {
         let end = body[hashes + 1..].find(&close)?;
         return Some(prefix + hashes + 1 + end + close.len());
     }
-    let quote = body
-        .chars()
-        .next()
-        .filter(|c| *c == '"' || (*c == '\'' && prefix < 2))?;
+    let quote = body.chars().next().filter(|c| *c == '"' || (*c == '\'' && prefix < 2))?;
     let characters = body.char_indices().skip(1);
     let mut escaped = false;
     for (at, c) in characters {
@@ -114,9 +109,7 @@ impl Crate {
             let module = Module::parse(file, &name, &without_tests(&tokens(&text)));
             (name, module)
         };
-        Self {
-            modules: files.into_iter().map(parse).collect(),
-        }
+        Self { modules: files.into_iter().map(parse).collect() }
     }
 
     /// Returns the references from file to file.
@@ -127,10 +120,7 @@ impl Crate {
                 continue;
             }
             let imported = module.imports.values().filter(|import| !import.is_public);
-            let paths = module
-                .paths
-                .iter()
-                .chain(imported.map(|import| &import.path));
+            let paths = module.paths.iter().chain(imported.map(|import| &import.path));
             for path in paths {
                 let file = self.file(name, path, 0).filter(|file| *file != module.file);
                 if let Some(file) = file {
@@ -179,11 +169,7 @@ impl Crate {
         let through = |glob: &Names| {
             let path: Names = glob.iter().chain(path).cloned().collect();
             let inside = glob.first().is_some_and(|first| first == "crate");
-            if inside {
-                self.file(scope, &path, depth + 1)
-            } else {
-                None
-            }
+            if inside { self.file(scope, &path, depth + 1) } else { None }
         };
         module.globs.iter().find_map(through)
     }
@@ -201,14 +187,8 @@ impl Crate {
 fn module_path(file: &Path) -> Names {
     let mut path = PathBuf::from(file);
     path.set_extension("");
-    let mut names: Names = path
-        .iter()
-        .map(|name| name.to_string_lossy().into_owned())
-        .collect();
-    if names
-        .last()
-        .is_some_and(|last| last == "mod" || (names.len() == 1 && last == "lib"))
-    {
+    let mut names: Names = path.iter().map(|name| name.to_string_lossy().into_owned()).collect();
+    if names.last().is_some_and(|last| last == "mod" || (names.len() == 1 && last == "lib")) {
         names.pop();
     }
     names
@@ -216,10 +196,7 @@ fn module_path(file: &Path) -> Names {
 
 impl Module {
     fn parse(file: String, name: &Names, tokens: &[String]) -> Self {
-        let mut module = Self {
-            file,
-            ..Self::default()
-        };
+        let mut module = Self { file, ..Self::default() };
         // Inline modules that are open, by the depth of their braces.
         let mut inline: Vec<usize> = Vec::new();
         let (mut braces, mut at) = (0, 0);
@@ -309,11 +286,7 @@ impl Module {
                 break;
             }
         }
-        if let Some(last) = path
-            .last()
-            .cloned()
-            .filter(|_| path != *base || tokens[0] == "self")
-        {
+        if let Some(last) = path.last().cloned().filter(|_| path != *base || tokens[0] == "self") {
             self.add(&last, &path, name, inline, is_public);
         }
         rest
@@ -321,9 +294,7 @@ impl Module {
 
     fn add(&mut self, alias: &str, path: &Names, name: &Names, inline: usize, is_public: bool) {
         let path = absolute(path, name, inline);
-        self.imports
-            .entry(alias.to_owned())
-            .or_insert(Import { path, is_public });
+        self.imports.entry(alias.to_owned()).or_insert(Import { path, is_public });
     }
 }
 
@@ -374,7 +345,5 @@ fn absolute(path: &[String], name: &Names, inline: usize) -> Names {
     }
     let kept = name.len() - supers.saturating_sub(inline).min(name.len());
     let start = std::iter::once("crate".to_owned()).chain(name[..kept].iter().cloned());
-    start
-        .chain(path[supers + usize::from(own)..].iter().cloned())
-        .collect()
+    start.chain(path[supers + usize::from(own)..].iter().cloned()).collect()
 }

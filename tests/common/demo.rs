@@ -12,12 +12,7 @@ pub(crate) fn engine() -> &'static Engine {
     static MODEL: OnceLock<Engine> = OnceLock::new();
     MODEL.get_or_init(|| {
         let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default");
-        Engine::open(&EngineConfig {
-            threads: 2,
-            queue: 8,
-            ..EngineConfig::new(model)
-        })
-        .unwrap()
+        Engine::open(&EngineConfig { threads: 2, queue: 8, ..EngineConfig::new(model) }).unwrap()
     })
 }
 

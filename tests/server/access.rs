@@ -35,13 +35,7 @@ async fn work_needs_a_key_and_probes_do_not() {
     for path in ["/codes", "/codes/1/2", "/jobs/x", "/jobs/x/result"] {
         get(&app, path).await.expect_error(401, "missing_api_key");
     }
-    for path in [
-        "/health",
-        "/ready",
-        "/info",
-        "/metrics",
-        "/api-doc/openapi.json",
-    ] {
+    for path in ["/health", "/ready", "/info", "/metrics", "/api-doc/openapi.json"] {
         let answer = get(&app, path).await;
         assert_eq!(answer.status, StatusCode::OK, "{path}");
         let text = String::from_utf8(answer.body).unwrap();
@@ -51,17 +45,11 @@ async fn work_needs_a_key_and_probes_do_not() {
 
 #[test]
 fn settings_never_show_a_key() {
-    let config = ServerConfig {
-        api_key: vec![KEY.parse().unwrap()],
-        ..ServerConfig::default()
-    };
+    let config = ServerConfig { api_key: vec![KEY.parse().unwrap()], ..ServerConfig::default() };
     assert!(!format!("{config:?}").contains(KEY));
     assert!(!format!("{:?}", config.access().unwrap()).contains(KEY));
     // A variable that is set to nothing must not open the server.
-    let empty = ServerConfig {
-        api_key: vec!["".parse().unwrap()],
-        ..ServerConfig::default()
-    };
+    let empty = ServerConfig { api_key: vec!["".parse().unwrap()], ..ServerConfig::default() };
     assert!(empty.access().is_err());
 }
 
@@ -82,17 +70,12 @@ async fn a_job_is_found_with_its_own_key_only() {
 
 #[tokio::test]
 async fn pages_of_allowed_origins_may_call() {
-    let access = Access {
-        origins: vec!["https://dance.example".parse().unwrap()],
-        ..Access::default()
-    };
+    let access =
+        Access { origins: vec!["https://dance.example".parse().unwrap()], ..Access::default() };
     let app = app_for(&Fake::new(), &Limits::default(), access);
     let from = |origin: &str| with(raw("", "song"), "origin", origin);
     let answer = succeed(&app, from("https://dance.example")).await;
-    assert_eq!(
-        answer.header("access-control-allow-origin"),
-        "https://dance.example"
-    );
+    assert_eq!(answer.header("access-control-allow-origin"), "https://dance.example");
     let other = send(&app, from("https://other.example")).await;
     assert!(!other.headers.contains_key("access-control-allow-origin"));
     let preflight = Request::builder()
@@ -104,15 +87,8 @@ async fn pages_of_allowed_origins_may_call() {
         .body(Body::empty())
         .unwrap();
     let answer = succeed(&app, preflight).await;
-    assert!(
-        answer
-            .header("access-control-allow-methods")
-            .contains("POST")
-    );
-    assert_eq!(
-        answer.header("access-control-allow-headers"),
-        "authorization"
-    );
+    assert!(answer.header("access-control-allow-methods").contains("POST"));
+    assert_eq!(answer.header("access-control-allow-headers"), "authorization");
 }
 
 #[tokio::test]

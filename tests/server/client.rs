@@ -89,11 +89,7 @@ impl Answer {
 
 /// Limits that tests can reach: one request runs, one waits.
 pub(crate) fn small_limits() -> Limits {
-    Limits {
-        max_concurrent_requests: NonZeroUsize::MIN,
-        queue: 1,
-        ..Limits::default()
-    }
+    Limits { max_concurrent_requests: NonZeroUsize::MIN, queue: 1, ..Limits::default() }
 }
 
 pub(crate) fn app(engine: &Arc<impl Generate>, limits: &Limits) -> Router {

@@ -18,10 +18,7 @@ use crate::{
 const SOON: Duration = Duration::from_millis(300);
 
 fn impatient() -> Limits {
-    Limits {
-        header_read_timeout: Seconds(SOON),
-        ..Limits::default()
-    }
+    Limits { header_read_timeout: Seconds(SOON), ..Limits::default() }
 }
 
 /// Sends `pieces` one by one; how long it took until the server closed.
@@ -55,10 +52,7 @@ async fn heads_that_do_not_come_in_time_are_dropped() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn connections_beyond_the_most_wait_for_a_place() {
-    let limits = Limits {
-        max_connections: NonZeroUsize::MIN,
-        ..impatient()
-    };
+    let limits = Limits { max_connections: NonZeroUsize::MIN, ..impatient() };
     let server = Server::start(&Fake::new(), limits).await;
     let silent = TcpStream::connect(server.address).unwrap();
     let started = Instant::now();
@@ -72,17 +66,12 @@ async fn connections_beyond_the_most_wait_for_a_place() {
 #[tokio::test(flavor = "multi_thread")]
 async fn http2_is_spoken_without_tls() {
     const SETTINGS: [u8; 9] = [0, 0, 0, 4, 0, 0, 0, 0, 0];
-    let limits = Limits {
-        max_http2_streams: NonZeroU32::new(7).unwrap(),
-        ..Limits::default()
-    };
+    let limits = Limits { max_http2_streams: NonZeroU32::new(7).unwrap(), ..Limits::default() };
     let server = Server::start(&Fake::new(), limits).await;
     let settings = tokio::task::block_in_place(|| {
         let mut stream = TcpStream::connect(server.address).unwrap();
         stream.set_read_timeout(Some(LONG)).unwrap();
-        stream
-            .write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n")
-            .unwrap();
+        stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").unwrap();
         stream.write_all(&SETTINGS).unwrap();
         let mut head = [0; 9];
         stream.read_exact(&mut head).unwrap();
@@ -128,11 +117,8 @@ async fn who_takes_nothing_of_its_answer_is_dropped() {
 /// RELIABILITY: a refusal reaches who is still sending.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_refusal_reaches_a_client_that_is_still_sending() {
-    let limits = Limits {
-        rate_limit: NonZeroU32::new(1),
-        rate_burst: NonZeroU32::MIN,
-        ..Limits::default()
-    };
+    let limits =
+        Limits { rate_limit: NonZeroU32::new(1), rate_burst: NonZeroU32::MIN, ..Limits::default() };
     let server = Server::start(&Fake::new(), limits).await;
     server.expect(post(b"song"), 200).await;
     let refused = server.expect(post(&vec![b'x'; 20_000_000]), 429).await;

@@ -95,11 +95,7 @@ impl Fake {
                 self.saw_cancel.store(true, Ordering::SeqCst);
                 return Err(EngineError::Cancelled);
             }
-            open = self
-                .opened
-                .wait_timeout(open, Duration::from_millis(5))
-                .unwrap()
-                .0;
+            open = self.opened.wait_timeout(open, Duration::from_millis(5)).unwrap().0;
         }
         Ok(())
     }
@@ -228,29 +224,14 @@ fn manifest() -> Manifest {
         fps: 60,
         frames_per_code: 8,
         motion_frame: MotionFrame::World,
-        vocabulary: Vocabulary {
-            upper: 512,
-            lower: 512,
-        },
-        gpt: GptSpec {
-            block: 29,
-            context: 28,
-            channels: 8,
-            layers: 2,
-            heads: 2,
-        },
-        decoder: DecoderSpec {
-            width: 8,
-            receptive_codes: 4,
-        },
+        vocabulary: Vocabulary { upper: 512, lower: 512 },
+        gpt: GptSpec { block: 29, context: 28, channels: 8, layers: 2, heads: 2 },
+        decoder: DecoderSpec { width: 8, receptive_codes: 4 },
         skeleton: skeleton(),
         upper_joints: vec![1, 2],
         lower_joints: vec![0],
         start_codes: vec![[1, 2]],
-        suppressed_codes: SuppressedCodes {
-            upper: Vec::new(),
-            lower: vec![7],
-        },
+        suppressed_codes: SuppressedCodes { upper: Vec::new(), lower: vec![7] },
         sampling: SamplingDefaults {
             temperature: 1.0,
             top_k: None,
@@ -287,10 +268,7 @@ fn frames() -> Array2<f32> {
 
 fn opening(options: &GenerationOptions) -> Result<Opening, EngineError> {
     let output = output(options);
-    let finish = FinishOptions {
-        fps: options.fps,
-        ..FinishOptions::default()
-    };
+    let finish = FinishOptions { fps: options.fps, ..FinishOptions::default() };
     Ok(Opening {
         model: "fake".into(),
         seed: output.seed,
@@ -308,14 +286,8 @@ fn opening(options: &GenerationOptions) -> Result<Opening, EngineError> {
 fn output(options: &GenerationOptions) -> GenerationOutput {
     let joints = skeleton().joints.len();
     let seed = options.seed.unwrap_or(7);
-    let codes = Codes {
-        upper: vec![u32::try_from(seed % 512).unwrap()],
-        lower: vec![3],
-    };
-    let before = Codes {
-        upper: vec![1],
-        lower: vec![2],
-    };
+    let codes = Codes { upper: vec![u32::try_from(seed % 512).unwrap()], lower: vec![3] };
+    let before = Codes { upper: vec![1], lower: vec![2] };
     GenerationOutput {
         seed,
         motion: MotionOutput::Finished(Finished {
@@ -329,10 +301,7 @@ fn output(options: &GenerationOptions) -> GenerationOutput {
         }),
         tail: Some(Continuation::new("0123", before, [0.0; 2], 0.0)),
         codes,
-        music: options.music.then(|| MusicInfo {
-            tempo_bpm: 120.0,
-            beats_s: vec![0.0, 0.5],
-        }),
+        music: options.music.then(|| MusicInfo { tempo_bpm: 120.0, beats_s: vec![0.0, 0.5] }),
         timings: Timings {
             queue: Duration::from_micros(100),
             decode: Duration::from_micros(200),

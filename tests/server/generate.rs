@@ -41,23 +41,13 @@ async fn form_and_raw_body_give_the_same() {
     assert_eq!(as_form.body, as_raw.body);
     assert_eq!(as_form.body, as_mixed.body);
     assert_eq!(as_form.json()["fps"], 30);
-    assert!(
-        fake.heard
-            .lock()
-            .unwrap()
-            .iter()
-            .all(|audio| audio == "song")
-    );
+    assert!(fake.heard.lock().unwrap().iter().all(|audio| audio == "song"));
 }
 
 /// `curl --data-binary` names the form type when no other is given.
 #[tokio::test]
 async fn a_raw_body_may_come_without_an_audio_type() {
-    for kind in [
-        "application/octet-stream",
-        "application/x-www-form-urlencoded",
-        "audio/x-m4a",
-    ] {
+    for kind in ["application/octet-stream", "application/x-www-form-urlencoded", "audio/x-m4a"] {
         let request = with(raw("", "song"), "content-type", kind);
         assert_eq!(ask(request).await.status, StatusCode::OK, "{kind}");
     }
@@ -93,10 +83,7 @@ async fn an_explicit_format_wins_over_accept() {
 #[tokio::test]
 async fn bvh_is_a_file_with_a_name() {
     let answer = ask(raw("format=bvh&seed=9", "song")).await;
-    assert_eq!(
-        answer.header("content-disposition"),
-        "attachment; filename=\"dance-9.bvh\""
-    );
+    assert_eq!(answer.header("content-disposition"), "attachment; filename=\"dance-9.bvh\"");
     assert!(answer.body.starts_with(b"HIERARCHY"));
 }
 
@@ -166,11 +153,7 @@ async fn wrong_options_are_refused_before_any_work() {
 async fn bodies_that_hold_no_audio_are_refused() {
     let app = app(&Fake::new(), &Limits::default());
     let forms: [&[(&str, &[u8])]; 3] = [&[("file", b"")], &[("seed", b"1")], &[]];
-    for request in forms
-        .map(|parts| form("", parts))
-        .into_iter()
-        .chain([raw("", "")])
-    {
+    for request in forms.map(|parts| form("", parts)).into_iter().chain([raw("", "")]) {
         refuse(&app, request, 400, "missing_audio").await;
     }
     let twice = form("", &[("file", b"a"), ("file", b"b")]);

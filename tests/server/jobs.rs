@@ -25,10 +25,7 @@ async fn order(app: &Router, query: &str, audio: &'static [u8]) -> String {
     let accepted = send(app, post("/jobs", query, audio)).await;
     assert_eq!(accepted.status, StatusCode::ACCEPTED, "{}", accepted.json());
     let path = accepted.header("location").to_owned();
-    assert_eq!(
-        path,
-        format!("/jobs/{}", accepted.json()["id"].as_str().unwrap())
-    );
+    assert_eq!(path, format!("/jobs/{}", accepted.json()["id"].as_str().unwrap()));
     path
 }
 
@@ -55,26 +52,17 @@ async fn a_job_is_ordered_asked_about_fetched_and_deleted() {
     let path = order(&app, "seed=4", BLOCK).await;
     fake.wait_started(1).await;
     let running = after(&app, &path, &["queued"]).await;
-    assert_eq!(
-        (&running["state"], &running["stage"]),
-        (&"running".into(), &"decode".into())
-    );
+    assert_eq!((&running["state"], &running["stage"]), (&"running".into(), &"decode".into()));
     let early = get(&app, &format!("{path}/result")).await;
     let said = early.expect_error(409, "job_not_done");
     assert!(said.contains("it is running"), "{said}");
     fake.release();
     let done = after(&app, &path, &["running"]).await;
     assert_eq!(done["state"], "done");
-    assert_eq!(
-        (&done["codes_done"], &done["codes_total"]),
-        (&1.into(), &1.into())
-    );
+    assert_eq!((&done["codes_done"], &done["codes_total"]), (&1.into(), &1.into()));
     let result = done["result"].as_str().unwrap();
     let json = get(&app, result).await;
-    assert_eq!(
-        (json.status, &json.json()["seed"]),
-        (StatusCode::OK, &4.into())
-    );
+    assert_eq!((json.status, &json.json()["seed"]), (StatusCode::OK, &4.into()));
     let bvh = get(&app, &format!("{result}?format=bvh&bvh_unit=m")).await;
     assert!(bvh.body.starts_with(b"HIERARCHY"));
     assert_eq!(bvh.header("x-seed"), "4");
@@ -84,9 +72,7 @@ async fn a_job_is_ordered_asked_about_fetched_and_deleted() {
     assert_eq!(delete(&app, &path).await, StatusCode::NO_CONTENT);
     get(&app, &path).await.expect_error(404, "no_such_job");
     assert_eq!(delete(&app, &path).await, StatusCode::NOT_FOUND);
-    get(&app, "/jobs/no-id")
-        .await
-        .expect_error(404, "no_such_job");
+    get(&app, "/jobs/no-id").await.expect_error(404, "no_such_job");
 }
 
 /// The option wins, then what the header prefers, then what was ordered.
@@ -127,10 +113,7 @@ async fn a_result_comes_as_it_is_asked_for() {
 /// A new job takes the place of one that was fetched, but of no other.
 #[tokio::test]
 async fn who_has_its_dance_makes_room() {
-    let limits = Limits {
-        max_jobs: NonZeroUsize::MIN,
-        ..Limits::default()
-    };
+    let limits = Limits { max_jobs: NonZeroUsize::MIN, ..Limits::default() };
     let app = app(&Fake::new(), &limits);
     let first = order(&app, "", b"song").await;
     after(&app, &first, &["queued", "running"]).await;
@@ -203,11 +186,8 @@ async fn a_server_that_stops_ends_its_jobs_and_waits_for_who_asks() {
     let fake = Fake::new();
     let server = Server::start(&fake, small_limits()).await;
     let accepted = server.expect(post_to("/jobs", BLOCK), 202).await;
-    let location = accepted
-        .lines()
-        .find_map(|line| line.strip_prefix("location: "))
-        .unwrap()
-        .to_owned();
+    let location =
+        accepted.lines().find_map(|line| line.strip_prefix("location: ")).unwrap().to_owned();
     fake.wait_started(1).await;
     server.stop();
     server.until_ready_says("HTTP/1.1 503").await;

@@ -42,20 +42,12 @@ impl Server {
         let address = listener.local_addr().unwrap();
         let (stop, told) = mpsc::unbounded_channel();
         let task = tokio::spawn(async move {
-            let service = Service {
-                limits,
-                ..Service::default()
-            };
-            let told = stream::unfold(told, |mut told| async {
-                told.recv().await.map(|()| ((), told))
-            });
+            let service = Service { limits, ..Service::default() };
+            let told =
+                stream::unfold(told, |mut told| async { told.recv().await.map(|()| ((), told)) });
             run(service, load, listener, told).await
         });
-        Self {
-            address,
-            stop,
-            task,
-        }
+        Self { address, stop, task }
     }
 
     pub(crate) fn stop(&self) {
@@ -84,9 +76,7 @@ impl Server {
         let address = self.address;
         tokio::task::spawn_blocking(move || {
             let mut stream = TcpStream::connect(address).unwrap();
-            stream
-                .set_read_timeout(Some(Duration::from_secs(20)))
-                .unwrap();
+            stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
             // The server may answer and close before it has read everything.
             let _ = stream.write_all(&request);
             let mut answer = Vec::new();
@@ -118,13 +108,7 @@ pub(crate) fn post_to(path: &str, audio: &[u8]) -> Vec<u8> {
 async fn draining_ends_what_was_accepted_and_refuses_the_rest() {
     let fake = Fake::new();
     let server = Server::start(&fake, small_limits()).await;
-    assert!(
-        server
-            .exchange(get("/ready"))
-            .await
-            .unwrap()
-            .starts_with("HTTP/1.1 200")
-    );
+    assert!(server.exchange(get("/ready")).await.unwrap().starts_with("HTTP/1.1 200"));
     let running = server.exchange(post(BLOCK));
     fake.wait_started(1).await;
     server.stop();
@@ -143,13 +127,7 @@ async fn draining_ends_what_was_accepted_and_refuses_the_rest() {
 async fn an_idle_server_stops_at_once() {
     let fake = Fake::new();
     let server = Server::start(&fake, Limits::default()).await;
-    assert!(
-        server
-            .exchange(post(b"song"))
-            .await
-            .unwrap()
-            .starts_with("HTTP/1.1 200")
-    );
+    assert!(server.exchange(post(b"song")).await.unwrap().starts_with("HTTP/1.1 200"));
     let idle = TcpStream::connect(server.address).unwrap();
     let started = Instant::now();
     server.stop();
@@ -163,8 +141,7 @@ async fn an_idle_server_stops_at_once() {
 async fn half_a_head_does_not_hold_the_server() {
     let server = Server::start(&Fake::new(), Limits::default()).await;
     let mut half = TcpStream::connect(server.address).unwrap();
-    half.write_all(b"GET /health HTTP/1.1\r\nHost: x\r\n")
-        .unwrap();
+    half.write_all(b"GET /health HTTP/1.1\r\nHost: x\r\n").unwrap();
     server.expect(get("/health"), 200).await;
     let started = Instant::now();
     server.stop();
@@ -235,10 +212,7 @@ async fn a_model_that_stops_for_good_ends_the_server() {
 #[tokio::test(flavor = "multi_thread")]
 async fn requests_that_outlive_the_drain_are_told_so() {
     let fake = Fake::new();
-    let limits = Limits {
-        shutdown_timeout: Seconds(Duration::from_millis(200)),
-        ..small_limits()
-    };
+    let limits = Limits { shutdown_timeout: Seconds(Duration::from_millis(200)), ..small_limits() };
     let server = Server::start(&fake, limits).await;
     let running = server.exchange(post(BLOCK));
     fake.wait_started(1).await;
@@ -247,10 +221,7 @@ async fn requests_that_outlive_the_drain_are_told_so() {
     assert!(answer.starts_with("HTTP/1.1 503"), "{answer}");
     assert!(answer.contains("\"draining\""), "{answer}");
     let ended = server.task.await.unwrap();
-    assert!(matches!(
-        ended,
-        Err(ServeError::DrainTimeout { lost: 1, .. })
-    ));
+    assert!(matches!(ended, Err(ServeError::DrainTimeout { lost: 1, .. })));
     fake.wait_ended(1).await;
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
 }
@@ -266,13 +237,7 @@ async fn a_closed_connection_stops_its_work() {
     drop(stream);
     fake.wait_ended(1).await;
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
-    assert!(
-        server
-            .exchange(post(b"song"))
-            .await
-            .unwrap()
-            .starts_with("HTTP/1.1 200")
-    );
+    assert!(server.exchange(post(b"song")).await.unwrap().starts_with("HTTP/1.1 200"));
 }
 
 /// An upload that breaks off, and one that is refused while it is still being sent.
@@ -309,11 +274,5 @@ async fn answers_reach_clients_that_are_still_sending() {
     let mut half = TcpStream::connect(server.address).unwrap();
     half.write_all(&post(b"0123456789")[..80]).unwrap();
     drop(half);
-    assert!(
-        server
-            .exchange(post(b"song"))
-            .await
-            .unwrap()
-            .starts_with("HTTP/1.1 200")
-    );
+    assert!(server.exchange(post(b"song")).await.unwrap().starts_with("HTTP/1.1 200"));
 }

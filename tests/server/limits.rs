@@ -74,10 +74,7 @@ async fn until_read(read: &AtomicBool) {
 #[tokio::test]
 async fn no_body_is_read_without_a_permit() {
     let fake = Fake::new();
-    let limits = Limits {
-        max_uploads: NonZeroUsize::MIN,
-        ..small_limits()
-    };
+    let limits = Limits { max_uploads: NonZeroUsize::MIN, ..small_limits() };
     let app = app(&fake, &limits);
     // While one upload is on its way, another is refused.
     let (slow, slow_read) = watched();
@@ -147,10 +144,7 @@ async fn a_song_waits_for_its_seconds() {
     let app = app(&fake, &limits);
     let requests = [(); 2].map(|()| spawn(&app, raw("", BLOCK)));
     // Both have a worker, and all seconds are taken.
-    let taken = [
-        "bailando_requests_running 2",
-        "bailando_audio_seconds_in_flight 600",
-    ];
+    let taken = ["bailando_requests_running 2", "bailando_audio_seconds_in_flight 600"];
     until_counted(&app, &taken).await;
     fake.wait_started(1).await;
     assert_eq!(fake.generations.load(Ordering::SeqCst), 1);
@@ -242,10 +236,7 @@ async fn a_client_that_disconnects_stops_its_work() {
 #[tokio::test]
 async fn a_wrong_accept_header_costs_no_permit() {
     let fake = Fake::new();
-    let limits = Limits {
-        queue: 0,
-        ..small_limits()
-    };
+    let limits = Limits { queue: 0, ..small_limits() };
     let app = app(&fake, &limits);
     let running = spawn(&app, raw("", BLOCK));
     fake.wait_started(1).await;

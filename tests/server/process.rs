@@ -15,9 +15,7 @@ use crate::client::LONG;
 /// Runs the program without the settings of the environment.
 fn bailando(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
-    command
-        .current_dir(env!("CARGO_MANIFEST_DIR"))
-        .args(arguments);
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments);
     for (name, _) in std::env::vars_os() {
         let upper = name.to_string_lossy().to_uppercase();
         if upper.starts_with("BAILANDO_") || upper.ends_with("_PROXY") || upper == "RUST_LOG" {
@@ -123,8 +121,7 @@ fn sigterm_while_the_model_is_loaded_ends_the_process_well() {
     assert!(ready.starts_with("HTTP/1.1 503"), "{ready}");
     assert!(ready.contains("\"loading\""), "{ready}");
     let mut half = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    half.write_all(b"GET /health HTTP/1.1\r\nHost: x\r\n")
-        .unwrap();
+    half.write_all(b"GET /health HTTP/1.1\r\nHost: x\r\n").unwrap();
     server.terminate();
     assert_eq!(server.wait().code(), Some(0));
 }
@@ -132,9 +129,7 @@ fn sigterm_while_the_model_is_loaded_ends_the_process_well() {
 #[test]
 fn a_wrong_model_directory_ends_with_one_line_and_soon() {
     let started = Instant::now();
-    let output = bailando(&["serve", "--port", "0", "--model-dir", "src"])
-        .output()
-        .unwrap();
+    let output = bailando(&["serve", "--port", "0", "--model-dir", "src"]).output().unwrap();
     assert!(started.elapsed() < Duration::from_secs(2));
     let said = said(&output);
     assert_eq!(output.status.code(), Some(1), "{said}");
@@ -146,15 +141,10 @@ fn a_wrong_model_directory_ends_with_one_line_and_soon() {
 fn an_address_that_is_taken_is_named_with_the_reason() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
-    let output = bailando(&["serve", "--port", &port.to_string()])
-        .output()
-        .unwrap();
+    let output = bailando(&["serve", "--port", &port.to_string()]).output().unwrap();
     let said = said(&output);
     assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(
-        said.contains(&format!("cannot listen on 127.0.0.1:{port}: ")),
-        "{said}"
-    );
+    assert!(said.contains(&format!("cannot listen on 127.0.0.1:{port}: ")), "{said}");
     assert_eq!(said.trim_end().lines().count(), 1, "{said}");
 }
 
@@ -207,9 +197,7 @@ fn answer_once(listener: TcpListener) -> thread::JoinHandle<(String, Vec<u8>)> {
         }
         let head = String::from_utf8(head).unwrap().to_lowercase();
         let mut lines = head.lines();
-        let length = lines
-            .clone()
-            .find_map(|line| line.strip_prefix("content-length: "));
+        let length = lines.clone().find_map(|line| line.strip_prefix("content-length: "));
         let mut body = vec![0; length.map_or(0, |length| length.parse().unwrap())];
         stream.read_exact(&mut body).unwrap();
         stream
@@ -225,9 +213,7 @@ fn the_probe_asks_where_the_settings_say_and_no_proxy() {
     let cases: [(Settings, &str); 3] = [
         (
             |probe, port| {
-                probe
-                    .env("BAILANDO_HOST", "0.0.0.0")
-                    .env("BAILANDO_PORT", port.to_string());
+                probe.env("BAILANDO_HOST", "0.0.0.0").env("BAILANDO_PORT", port.to_string());
             },
             "/health",
         ),
@@ -283,10 +269,7 @@ fn traces_go_to_the_collector_that_the_settings_name() {
     let (line, body) = collected.join().unwrap();
     assert_eq!(line, "post /v1/traces http/1.1");
     let body = String::from_utf8_lossy(&body);
-    assert!(
-        body.contains("bailando") && body.contains("request"),
-        "{body}"
-    );
+    assert!(body.contains("bailando") && body.contains("request"), "{body}");
     assert!(body.contains("/ready"), "{body}");
 }
 
@@ -326,9 +309,8 @@ fn a_key_is_asked_for_and_never_logged() {
     let log = fs::read_to_string(&log).unwrap();
     assert!(log.contains("answered"), "{log}");
     assert!(!log.contains(KEY) && !log.contains("another-key"));
-    let missing = bailando(&["serve", "--port", "0", "--api-key-file", "no/such/file"])
-        .output()
-        .unwrap();
+    let missing =
+        bailando(&["serve", "--port", "0", "--api-key-file", "no/such/file"]).output().unwrap();
     let said = said(&missing);
     assert_eq!(missing.status.code(), Some(1), "{said}");
     assert!(said.contains("no/such/file"), "{said}");

@@ -59,13 +59,7 @@ fn codes(answer: &Answer) -> Value {
 async fn every_container_becomes_json_and_bvh_of_its_length() {
     const SECONDS: f64 = 4.0;
     let service = service();
-    for name in [
-        "demo.mp3",
-        "demo.flac",
-        "demo.ogg",
-        "demo.m4a",
-        "demo_44k1_8s.wav",
-    ] {
+    for name in ["demo.mp3", "demo.flac", "demo.ogg", "demo.m4a", "demo_44k1_8s.wav"] {
         let query = format!("seed=3&duration_s={SECONDS}");
         let answer = send(&service, raw(&query, demo(name))).await;
         assert_eq!(answer.status, StatusCode::OK, "{name}: {}", answer.json());
@@ -73,10 +67,7 @@ async fn every_container_becomes_json_and_bvh_of_its_length() {
         let frames = dance["frames"].as_f64().unwrap();
         assert!((frames - SECONDS * 60.0).abs() <= 8.0, "{name}: {frames}");
         assert_eq!(dance["positions"].as_array().unwrap().len() as f64, frames);
-        assert!(
-            dance["music"]["tempo_bpm"].as_f64().unwrap() > 0.0,
-            "{name}"
-        );
+        assert!(dance["music"]["tempo_bpm"].as_f64().unwrap() > 0.0, "{name}");
         assert_eq!(dance["seed"], 3);
         let parts: [(&str, &[u8]); 3] = [("format", b"bvh"), ("fps", b"30"), ("file", &demo(name))];
         let answer = send(&service, form(&query, &parts)).await;
@@ -127,11 +118,7 @@ async fn broken_audio_is_refused_quickly_and_the_dance_goes_on() {
         ("0-second wav", wav16(2, 44_100, &[]), 422),
         ("0.3 s wav", wav16(1, 44_100, &vec![1; 13_230]), 422),
         ("sample rate 0", wav(1, 0, 16, &[0; 1_000]), 422),
-        (
-            "sample rate of 4 GHz",
-            wav(1, u32::MAX, 16, &[0; 1_000]),
-            422,
-        ),
+        ("sample rate of 4 GHz", wav(1, u32::MAX, 16, &[0; 1_000]), 422),
         ("10 h of silence", silence.bytes(), 422),
     ];
     for (name, audio, status) in cases {
@@ -151,9 +138,7 @@ async fn broken_audio_is_refused_quickly_and_the_dance_goes_on() {
 /// What a header declares is not believed: what is there is danced to, and the rest is reported.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_wav_that_declares_too_much_is_danced_to_with_a_warning() {
-    let noise: Vec<u8> = (0..176_400_u32)
-        .map(|i| (i.wrapping_mul(i) >> 3) as u8)
-        .collect();
+    let noise: Vec<u8> = (0..176_400_u32).map(|i| (i.wrapping_mul(i) >> 3) as u8).collect();
     let truncated = wav_declaring(1, 44_100, 16, &noise, 20_000_000);
     let answer = send(&service(), raw("", truncated)).await;
     assert_eq!(answer.status, StatusCode::OK, "{}", answer.json());
@@ -166,9 +151,7 @@ async fn a_wav_that_declares_too_much_is_danced_to_with_a_warning() {
 async fn options_that_only_the_model_can_judge_are_refused() {
     let service = service();
     for query in ["start_upper=1000000", "start_lower=1000000", "hop=1000"] {
-        send(&service, raw(query, demo("demo.mp3")))
-            .await
-            .expect_error(400, "invalid_option");
+        send(&service, raw(query, demo("demo.mp3"))).await.expect_error(400, "invalid_option");
     }
     send(&service, raw("offset_s=10000", demo("demo.mp3")))
         .await
@@ -181,10 +164,7 @@ async fn info_is_that_of_the_model() {
     assert_eq!(info["model"]["name"], MODEL.manifest().name);
     assert_eq!(info["model"]["manifest_sha256"], MODEL.model_sha256());
     assert_eq!(
-        info["model"]["skeleton"]["joints"]
-            .as_array()
-            .unwrap()
-            .len(),
+        info["model"]["skeleton"]["joints"].as_array().unwrap().len(),
         MODEL.manifest().skeleton.joints.len()
     );
 }
@@ -269,11 +249,7 @@ async fn a_panic_in_any_stage_costs_its_own_request_only() {
     for faulty in [101, 102, 103, 104] {
         let (beside, panicking) = (ask(1), ask(faulty));
         panicking.await.unwrap().expect_error(500, "internal");
-        assert_eq!(
-            codes(&beside.await.unwrap()),
-            undisturbed,
-            "beside {faulty}"
-        );
+        assert_eq!(codes(&beside.await.unwrap()), undisturbed, "beside {faulty}");
         assert_eq!(codes(&ask(1).await.unwrap()), undisturbed, "after {faulty}");
     }
     let metrics = String::from_utf8(get(&app, "/metrics").await.body).unwrap();

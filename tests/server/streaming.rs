@@ -21,9 +21,7 @@ use crate::{
 pub(crate) fn lines(answer: &Answer) -> Vec<Value> {
     let text = std::str::from_utf8(&answer.body).unwrap();
     let lines = text.lines();
-    lines
-        .map(|line| serde_json::from_str(line).unwrap())
-        .collect()
+    lines.map(|line| serde_json::from_str(line).unwrap()).collect()
 }
 
 /// Names and objects of server-sent events.
@@ -60,10 +58,7 @@ async fn events_are_a_start_frames_in_order_and_an_end() {
         assert_eq!(object["event"], name.as_str());
     }
     let (_, start) = &events[0];
-    assert_eq!(
-        (&start["event"], &start["frames"]),
-        (&"start".into(), &8.into())
-    );
+    assert_eq!((&start["event"], &start["frames"]), (&"start".into(), &8.into()));
     assert_eq!(start["skeleton"]["joints"].as_array().unwrap().len(), 3);
     assert_eq!(start["music"]["beats_s"].as_array().unwrap().len(), 2);
     let mut next = 0;
@@ -72,11 +67,7 @@ async fn events_are_a_start_frames_in_order_and_an_end() {
         assert_eq!(frames["first"], next);
         let count = frames["count"].as_u64().unwrap();
         for array in ["positions", "rotations", "root"] {
-            assert_eq!(
-                frames[array].as_array().unwrap().len() as u64,
-                count,
-                "{array}"
-            );
+            assert_eq!(frames[array].as_array().unwrap().len() as u64, count, "{array}");
         }
         next += count;
     }
@@ -94,10 +85,7 @@ async fn the_same_objects_come_as_lines() {
     let lines = lines(&answer);
     let names: Vec<_> = lines.iter().map(|line| &line["event"]).collect();
     assert_eq!(names, ["start", "frames", "done"]);
-    assert_eq!(
-        lines[1]["positions"].as_str().unwrap().len(),
-        8 * 3 * 3 * 4 / 3 * 4
-    );
+    assert_eq!(lines[1]["positions"].as_str().unwrap().len(), 8 * 3 * 3 * 4 / 3 * 4);
     assert!(!lines[1].as_object().unwrap().contains_key("rotations"));
 }
 
@@ -113,9 +101,7 @@ async fn what_is_wrong_is_said_before_the_stream_begins() {
     let mut picture = stream("", b"song");
     let wanted = HeaderValue::from_static("image/png");
     picture.headers_mut().insert(header::ACCEPT, wanted);
-    send(&app, picture)
-        .await
-        .expect_error(406, "not_acceptable");
+    send(&app, picture).await.expect_error(406, "not_acceptable");
 }
 
 #[tokio::test]
@@ -125,26 +111,17 @@ async fn what_goes_wrong_later_is_the_last_event() {
     assert_eq!(answer.status, StatusCode::OK);
     let lines = lines(&answer);
     let last = lines.last().unwrap();
-    assert_eq!(
-        (&last["event"], &last["error_type"]),
-        (&"error".into(), &"internal".into())
-    );
+    assert_eq!((&last["event"], &last["error_type"]), (&"error".into(), &"internal".into()));
     assert_eq!(last["request_id"], answer.header("x-request-id"));
     let metrics = String::from_utf8(get(&app, "/metrics").await.body).unwrap();
-    assert!(
-        metrics.contains("bailando_panics_total{place=\"inference\"} 1"),
-        "{metrics}"
-    );
+    assert!(metrics.contains("bailando_panics_total{place=\"inference\"} 1"), "{metrics}");
     assert_eq!(send(&app, stream("", b"song")).await.status, StatusCode::OK);
 }
 
 #[tokio::test]
 async fn a_stream_that_takes_too_long_ends_with_an_error() {
     let fake = Fake::new();
-    let limits = Limits {
-        request_timeout: Seconds(Duration::from_millis(500)),
-        ..small_limits()
-    };
+    let limits = Limits { request_timeout: Seconds(Duration::from_millis(500)), ..small_limits() };
     let answer = send(&app(&fake, &limits), in_lines(stream("", BLOCK))).await;
     let lines = lines(&answer);
     assert_eq!(lines.last().unwrap()["error_type"], "timeout");
@@ -156,10 +133,7 @@ async fn a_stream_that_takes_too_long_ends_with_an_error() {
 #[tokio::test]
 async fn a_stream_that_takes_too_long_stops_though_nobody_reads_it() {
     let fake = Fake::new();
-    let limits = Limits {
-        request_timeout: Seconds(Duration::from_millis(500)),
-        ..small_limits()
-    };
+    let limits = Limits { request_timeout: Seconds(Duration::from_millis(500)), ..small_limits() };
     let app = app(&fake, &limits);
     let body = begin(&app).await;
     fake.wait_ended(1).await;
@@ -187,10 +161,7 @@ async fn a_reader_that_leaves_stops_the_work() {
     fake.wait_ended(1).await;
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
     // The work tells so a moment after its end.
-    let told = [
-        "bailando_cancelled_total{phase=\"inference\"} 1",
-        "bailando_requests_running 0",
-    ];
+    let told = ["bailando_cancelled_total{phase=\"inference\"} 1", "bailando_requests_running 0"];
     until_counted(&app, &told).await;
 }
 

@@ -109,12 +109,8 @@ async fn a_model_that_has_stopped_is_not_ready() {
 #[tokio::test]
 async fn unknown_paths_and_methods_have_the_error_shape() {
     let app = app(&Fake::new(), &Limits::default());
-    get(&app, "/no/such/path")
-        .await
-        .expect_error(404, "not_found");
-    get(&app, "/docs/no-such-asset")
-        .await
-        .expect_error(404, "not_found");
+    get(&app, "/no/such/path").await.expect_error(404, "not_found");
+    get(&app, "/docs/no-such-asset").await.expect_error(404, "not_found");
     let answer = get(&app, "/generate").await;
     answer.expect_error(405, "method_not_allowed");
     assert_eq!(answer.header("allow"), "POST");
@@ -131,11 +127,7 @@ async fn metrics_are_what_prometheus_reads() {
     missing.expect_error(404, "not_found");
     succeed(&app, raw("", "song")).await;
     let answer = get(&app, "/metrics").await;
-    assert!(
-        answer
-            .header("content-type")
-            .starts_with("application/openmetrics-text")
-    );
+    assert!(answer.header("content-type").starts_with("application/openmetrics-text"));
     let text = String::from_utf8(answer.body).unwrap();
     for line in [
         "bailando_http_requests_total{route=\"other\",method=\"GET\",status=\"404\"} 1",
@@ -161,24 +153,14 @@ async fn metrics_are_what_prometheus_reads() {
 async fn pose_codes_can_be_looked_at() {
     let app = app(&Fake::new(), &Limits::default());
     let books = get(&app, "/codes").await.json();
-    assert_eq!(
-        (&books["upper"], &books["lower"]),
-        (&512.into(), &512.into())
-    );
+    assert_eq!((&books["upper"], &books["lower"]), (&512.into(), &512.into()));
     assert_eq!(books["start_codes"][0], serde_json::json!([1, 2]));
     let suppressed = serde_json::json!({"upper": [], "lower": [7]});
     assert_eq!(books["suppressed_codes"], suppressed);
     let pose = get(&app, "/codes/3/511").await.json();
     assert_eq!((&pose["upper"], &pose["lower"]), (&3.into(), &511.into()));
     assert_eq!(pose["positions"].as_array().unwrap().len(), pose["frames"]);
-    let said = get(&app, "/codes/512/0")
-        .await
-        .expect_error(400, "invalid_option");
-    assert!(
-        said.contains("option `upper`: 512 is not between 0 and 511"),
-        "{said}"
-    );
-    get(&app, "/codes/a/b")
-        .await
-        .expect_error(400, "invalid_option");
+    let said = get(&app, "/codes/512/0").await.expect_error(400, "invalid_option");
+    assert!(said.contains("option `upper`: 512 is not between 0 and 511"), "{said}");
+    get(&app, "/codes/a/b").await.expect_error(400, "invalid_option");
 }

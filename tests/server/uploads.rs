@@ -191,22 +191,13 @@ async fn options_may_come_before_a_large_file() {
 #[tokio::test]
 async fn uploads_are_held_within_their_memory() {
     let fake = Fake::new();
-    let limits = Limits {
-        upload_memory: ByteSize(8),
-        ..small_limits()
-    };
+    let limits = Limits { upload_memory: ByteSize(8), ..small_limits() };
     let app = app(&fake, &limits);
     refuse(&app, raw("", "nine bytes"), 429, "upload_memory").await;
     succeed(&app, raw("", "8 bytes!")).await;
     succeed(&app, raw("", "8 bytes!")).await;
     // All of a form counts.
-    refuse(
-        &app,
-        form("", &[("file", b"8 bytes!")]),
-        429,
-        "upload_memory",
-    )
-    .await;
+    refuse(&app, form("", &[("file", b"8 bytes!")]), 429, "upload_memory").await;
     until_counted(&app, &["bailando_upload_bytes 0"]).await;
 }
 
@@ -233,17 +224,10 @@ async fn slow_bodies_are_dropped() {
         request_timeout: FAR,
         ..Limits::default()
     };
-    let total = Limits {
-        body_idle_timeout: FAR,
-        body_timeout: Seconds(soon),
-        ..idle.clone()
-    };
+    let total = Limits { body_idle_timeout: FAR, body_timeout: Seconds(soon), ..idle.clone() };
     let stalled = slow(idle, 3, Duration::from_millis(1));
     let said = stalled.await.expect_error(408, "upload_timeout");
-    assert!(
-        said.contains("0.3 s without data and 3600 s in all"),
-        "{said}"
-    );
+    assert!(said.contains("0.3 s without data and 3600 s in all"), "{said}");
     let started = Instant::now();
     let dribbling = slow(total, usize::MAX, Duration::from_millis(20));
     dribbling.await.expect_error(408, "upload_timeout");

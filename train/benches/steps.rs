@@ -48,14 +48,7 @@ fn main() -> anyhow::Result<()> {
     // The GPT wants a finished VQ-VAE: its codes, not its quality, are what a step costs.
     config.run.folder = folder.path().join("finished");
     config.vqvae.training.steps = 1;
-    train(
-        Stage::VqVae,
-        &config,
-        &set,
-        None,
-        Limits::default(),
-        &mut Vec::new(),
-    )?;
+    train(Stage::VqVae, &config, &set, None, Limits::default(), &mut Vec::new())?;
     let gpt = seconds(Stage::Gpt, &config, &set)?;
     println!("{}", serde_json::json!({ "vqvae": vqvae, "gpt": gpt }));
     Ok(())
@@ -66,10 +59,7 @@ fn seconds(stage: Stage, config: &Config, set: &MotionSet) -> anyhow::Result<f64
     let mut times = Vec::new();
     for steps in STEPS {
         let start = Instant::now();
-        let limits = Limits {
-            steps: Some(steps),
-            ..Limits::default()
-        };
+        let limits = Limits { steps: Some(steps), ..Limits::default() };
         train(stage, config, set, None, limits, &mut Vec::new())?;
         times.push(start.elapsed().as_secs_f64());
         let checkpoint = config.run.folder.join(stage.name());
@@ -84,13 +74,9 @@ fn motion_set(config: &Config) -> anyhow::Result<MotionSet> {
         let time = frame as f32 / 60.0;
         0.05 * joint as f32 * (time * (2.0 + (joint % 4) as f32) + axis as f32).sin()
     });
-    let music = Array2::from_shape_fn((451, 438), |(row, column)| {
-        (row as f32 / 7.5 + column as f32).cos()
-    });
+    let music =
+        Array2::from_shape_fn((451, 438), |(row, column)| (row as f32 / 7.5 + column as f32).cos());
     let piece = MotionPiece::from_positions(positions, config.data.frame)?;
     let song = SongRows::new(vec![Arc::new(music)]).context("a song")?;
-    Ok(MotionSet::new(
-        Motions::new(vec![piece.with_song(song)]),
-        None,
-    ))
+    Ok(MotionSet::new(Motions::new(vec![piece.with_song(song)]), None))
 }

@@ -55,10 +55,7 @@ impl fmt::Display for Comparison {
         let (original, model) = (megabytes(self.bytes_of_original), megabytes(self.bytes));
         writeln!(f, "| gpt.onnx, MB | {original:.1} | {model:.1} |")?;
         let (original, model) = (self.perplexity_of_original, self.perplexity);
-        writeln!(
-            f,
-            "| perplexity of a code pair | {original:.5} | {model:.5} |"
-        )?;
+        writeln!(f, "| perplexity of a code pair | {original:.5} | {model:.5} |")?;
         writeln!(
             f,
             "\nOf {} codes {:.3} % are the likeliest to both, {:.3} % are drawn by both; \
@@ -103,17 +100,9 @@ fn measure<S: SplitKind>(
         }
     }
     let size = |directory: &ModelDirectory| {
-        directory
-            .manifest()
-            .files
-            .get("gpt.onnx")
-            .map_or(0, |file| file.bytes)
+        directory.manifest().files.get("gpt.onnx").map_or(0, |file| file.bytes)
     };
-    Ok(Comparison {
-        bytes_of_original: size(&original),
-        bytes: size(&model),
-        ..sums.comparison()
-    })
+    Ok(Comparison { bytes_of_original: size(&original), bytes: size(&model), ..sums.comparison() })
 }
 
 #[derive(Default)]
@@ -144,9 +133,8 @@ impl Sums {
             self.same_likeliest += usize::from(likeliest(&one) == likeliest(&other));
             self.same_drawn += usize::from(drawn(&one, number) == drawn(&other, number));
             let terms = one.iter().zip(&other).filter(|(p, _)| **p > 0.0);
-            self.divergence += terms
-                .map(|(p, q)| p * (p / q.max(f64::MIN_POSITIVE)).ln())
-                .sum::<f64>();
+            self.divergence +=
+                terms.map(|(p, q)| p * (p / q.max(f64::MIN_POSITIVE)).ln()).sum::<f64>();
         }
     }
 
@@ -175,13 +163,7 @@ fn shares(logits: ArrayView1<'_, f32>) -> Vec<f64> {
 }
 
 fn likeliest(shares: &[f64]) -> usize {
-    (0..shares.len()).fold(0, |best, code| {
-        if shares[code] > shares[best] {
-            code
-        } else {
-            best
-        }
-    })
+    (0..shares.len()).fold(0, |best, code| if shares[code] > shares[best] { code } else { best })
 }
 
 /// The code at which the shares, likeliest first, reach `number` in 0..1: as the server draws.
@@ -231,14 +213,7 @@ mod tests {
     #[test]
     fn the_likeliest_is_drawn_first() {
         let shares = [0.2, 0.5, 0.3];
-        for (number, code) in [
-            (0.0, 1),
-            (0.49, 1),
-            (0.51, 2),
-            (0.79, 2),
-            (0.81, 0),
-            (1.0, 0),
-        ] {
+        for (number, code) in [(0.0, 1), (0.49, 1), (0.51, 2), (0.79, 2), (0.81, 0), (1.0, 0)] {
             assert_eq!(drawn(&shares, number), code, "{number}");
         }
     }

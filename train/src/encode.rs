@@ -49,10 +49,7 @@ pub enum EncodeError {
 
 impl EncodeError {
     fn write(path: &Path, error: impl std::fmt::Display) -> Self {
-        Self::Write {
-            path: path.to_owned(),
-            message: error.to_string(),
-        }
+        Self::Write { path: path.to_owned(), message: error.to_string() }
     }
 }
 
@@ -83,13 +80,9 @@ fn encode_portion<S: SplitKind>(
     for dance in portion.recordings() {
         let motion = dance.motion(portion.skeleton())?;
         let pairs = encoder.encode(columns(&motion, frame)?.view())?;
-        let id = dance
-            .songs()
-            .first()
-            .map_or("recording", |song| song.id.as_str());
-        let codes = Array2::from_shape_fn((2, pairs.len()), |(half, place)| {
-            i64::from(pairs[place][half])
-        });
+        let id = dance.songs().first().map_or("recording", |song| song.id.as_str());
+        let codes =
+            Array2::from_shape_fn((2, pairs.len()), |(half, place)| i64::from(pairs[place][half]));
         let path = options.out.join(format!("{id}.codes.npy"));
         ndarray_npy::write_npy(&path, &codes).map_err(|error| EncodeError::write(&path, error))?;
         if options.reconstruct {

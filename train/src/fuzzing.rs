@@ -20,11 +20,7 @@ pub fn checkpoint(bytes: &[u8]) -> bool {
     };
     let names: Vec<String> = checkpoint.names().map(str::to_owned).collect();
     let tensors: Vec<_> = names.iter().map(|name| checkpoint.tensor(name)).collect();
-    let values: usize = tensors
-        .iter()
-        .flatten()
-        .map(|tensor| tensor.data().len())
-        .sum();
+    let values: usize = tensors.iter().flatten().map(|tensor| tensor.data().len()).sum();
     assert!(values <= bytes.len(), "{values} of {} bytes", bytes.len());
     let all = tensors.iter().all(Result::is_ok);
     if let Ok(weights) = VqVaeWeights::from_checkpoint(&mut checkpoint) {

@@ -28,9 +28,7 @@ pub struct Recordings {
 
 impl Recordings {
     pub(crate) fn open(&self) -> Result<Dataset, EncodeError> {
-        let open = OpenOptions {
-            audio: self.audio.clone(),
-        };
+        let open = OpenOptions { audio: self.audio.clone() };
         Ok(Dataset::open(&self.data, &open)?)
     }
 }
@@ -98,10 +96,7 @@ pub(crate) struct Predictor {
 
 impl Predictor {
     pub(crate) fn open(directory: &ModelDirectory) -> Result<Self, ModelError> {
-        Ok(Self {
-            gpt: directory.gpt(1)?,
-            block: directory.manifest().gpt.block,
-        })
+        Ok(Self { gpt: directory.gpt(1)?, block: directory.manifest().gpt.block })
     }
 
     /// Returns the scores of every window that has rows, beside the true codes.
@@ -113,10 +108,7 @@ impl Predictor {
         let block = self.block;
         let [upper, lower] = &pair.codes;
         // A window's last code is only predicted, and needs no row.
-        let codes = upper
-            .len()
-            .saturating_sub(1)
-            .min(rows.nrows().saturating_sub(1));
+        let codes = upper.len().saturating_sub(1).min(rows.nrows().saturating_sub(1));
         let windows = crop_starts(codes, block, block).map(|start| {
             let window = start..start + block;
             let targets = start + 1..start + block + 1;
@@ -140,10 +132,7 @@ impl Predictor {
         let entropies = windows.flat_map(|(logits, [upper, lower])| {
             let upper = cross_entropies(&logits.upper, upper);
             let lower = cross_entropies(&logits.lower, lower);
-            upper
-                .into_iter()
-                .zip(lower)
-                .map(|(upper, lower)| upper + lower)
+            upper.into_iter().zip(lower).map(|(upper, lower)| upper + lower)
         });
         Ok(entropies.collect())
     }

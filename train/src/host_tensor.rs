@@ -26,10 +26,7 @@ impl HostTensor {
         if elements(&shape) == Some(data.len()) {
             Ok(Self { shape, data })
         } else {
-            Err(ShapeMismatch {
-                shape,
-                values: data.len(),
-            })
+            Err(ShapeMismatch { shape, values: data.len() })
         }
     }
 
@@ -67,10 +64,7 @@ impl HostTensor {
             *first = to - from;
         }
         let data = self.data.iter().skip(from * row).take((to - from) * row);
-        Self {
-            shape,
-            data: data.copied().collect(),
-        }
+        Self { shape, data: data.copied().collect() }
     }
 
     /// Returns the `[columns, rows]` transpose of a `[rows, columns]` matrix.
@@ -80,33 +74,23 @@ impl HostTensor {
         for column in 0..columns {
             data.extend(self.data.iter().skip(column).step_by(columns.max(1)));
         }
-        Self {
-            shape: vec![columns, rows],
-            data,
-        }
+        Self { shape: vec![columns, rows], data }
     }
 
     /// Joins tensors along the first dimension.
     pub(crate) fn stacked(parts: &[&Self]) -> Self {
-        let mut shape = parts
-            .first()
-            .map_or_else(Vec::new, |part| part.shape.clone());
+        let mut shape = parts.first().map_or_else(Vec::new, |part| part.shape.clone());
         if let Some(first) = shape.first_mut() {
             *first = parts.iter().map(|part| part.dim(0)).sum();
         }
-        let data = parts
-            .iter()
-            .flat_map(|part| part.data.iter().copied())
-            .collect();
+        let data = parts.iter().flat_map(|part| part.data.iter().copied()).collect();
         Self { shape, data }
     }
 }
 
 /// Returns the product of `shape`, unless it overflows.
 pub(crate) fn elements(shape: &[usize]) -> Option<usize> {
-    shape
-        .iter()
-        .try_fold(1_usize, |product, &size| product.checked_mul(size))
+    shape.iter().try_fold(1_usize, |product, &size| product.checked_mul(size))
 }
 
 #[cfg(test)]

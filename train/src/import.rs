@@ -55,26 +55,14 @@ pub enum ImportError {
     Export(#[from] ExportError),
     /// A JSON file could not be read.
     #[error("{}: {source}", path.display())]
-    Read {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// A JSON file does not hold what is expected.
     #[error("{}: expected {expected}: {source}", path.display())]
-    Json {
-        path: PathBuf,
-        expected: &'static str,
-        source: serde_json::Error,
-    },
+    Json { path: PathBuf, expected: &'static str, source: serde_json::Error },
     /// A start code is not in the vocabulary.
     #[error("{}: start codes {pair:?} lie outside the vocabulary of {upper} upper and {lower} \
              lower codes", path.display())]
-    StartCode {
-        path: PathBuf,
-        pair: [u32; 2],
-        upper: usize,
-        lower: usize,
-    },
+    StartCode { path: PathBuf, pair: [u32; 2], upper: usize, lower: usize },
 }
 
 /// Imports; returns the manifest that was written.
@@ -93,14 +81,7 @@ pub fn import(options: &ImportOptions) -> Result<Manifest, ImportError> {
             read_json::<BTreeMap<_, _>>(path, "an object that describes the training")?;
     }
     let (out, replace) = (&options.out, options.replace);
-    Ok(write_model_directory(
-        out,
-        replace,
-        &gpt,
-        &InputRanges::default(),
-        &vqvae,
-        &description,
-    )?)
+    Ok(write_model_directory(out, replace, &gpt, &InputRanges::default(), &vqvae, &description)?)
 }
 
 /// Reads the file's pairs; without a file the official pair where the vocabulary has it, else none.
@@ -116,28 +97,17 @@ fn start_codes(path: Option<&Path>, gpt: &GptWeights) -> Result<Vec<[u32; 2]>, I
     if let Some(list) = content.get_mut("start_codes") {
         content = list.take();
     }
-    let pairs: Vec<[u32; 2]> =
-        serde_json::from_value(content).map_err(|source| ImportError::Json {
-            path: path.to_owned(),
-            expected,
-            source,
-        })?;
+    let pairs: Vec<[u32; 2]> = serde_json::from_value(content)
+        .map_err(|source| ImportError::Json { path: path.to_owned(), expected, source })?;
     match pairs.iter().find(|pair| !known(pair)) {
         None => Ok(pairs),
-        Some(&pair) => Err(ImportError::StartCode {
-            path: path.to_owned(),
-            pair,
-            upper,
-            lower,
-        }),
+        Some(&pair) => Err(ImportError::StartCode { path: path.to_owned(), pair, upper, lower }),
     }
 }
 
 fn read_json<T: DeserializeOwned>(path: &Path, expected: &'static str) -> Result<T, ImportError> {
-    let text = std::fs::read(path).map_err(|source| ImportError::Read {
-        path: path.to_owned(),
-        source,
-    })?;
+    let text = std::fs::read(path)
+        .map_err(|source| ImportError::Read { path: path.to_owned(), source })?;
     serde_json::from_slice(&text).map_err(|source| ImportError::Json {
         path: path.to_owned(),
         expected,

@@ -48,18 +48,11 @@ impl fmt::Display for MusicGap {
         writeln!(f, "| music | cross-entropy a code, upper + lower |")?;
         writeln!(f, "|---|---|")?;
         writeln!(f, "| its own | {:.4} |", self.right_music)?;
-        writeln!(
-            f,
-            "| a song of another dance | {} |",
-            gap(self.another_song)
-        )?;
+        writeln!(f, "| a song of another dance | {} |", gap(self.another_song))?;
         writeln!(f, "| its own, one count early | {} |", gap(self.one_count))?;
         writeln!(f, "| its own, half a bar early | {} |", gap(self.half_bar))?;
         let (pieces, codes) = (self.pieces, self.codes);
-        writeln!(
-            f,
-            "\n{pieces} pieces, {codes} codes; a model that does not hear has gaps of 0."
-        )
+        writeln!(f, "\n{pieces} pieces, {codes} codes; a model that does not hear has gaps of 0.")
     }
 }
 

@@ -37,17 +37,10 @@ fn session(graph: &[u8]) -> Session {
             },
             PathBuf::from,
         );
-        ort::environment::init_from(library)
-            .unwrap()
-            .build()
-            .unwrap()
+        ort::environment::init_from(library).unwrap().build().unwrap()
     });
     let builder = Session::builder(environment).unwrap();
-    builder
-        .with_intra_threads(1)
-        .unwrap()
-        .commit_from_memory(graph)
-        .unwrap()
+    builder.with_intra_threads(1).unwrap().commit_from_memory(graph).unwrap()
 }
 
 /// Upper codes, lower codes and music rows of one sequence.
@@ -78,10 +71,7 @@ fn run_gpt(session: &mut Session, sequences: &[&Sequence]) -> Vec<Vec<f32>> {
         let values: Vec<i64> = sequences.iter().flat_map(|one| pick(one).clone()).collect();
         Tensor::from_array(([batch, STEPS], values)).unwrap()
     };
-    let music: Vec<f32> = sequences
-        .iter()
-        .flat_map(|one| one.music.iter().copied())
-        .collect();
+    let music: Vec<f32> = sequences.iter().flat_map(|one| one.music.iter().copied()).collect();
     let positions: Vec<i64> = (0..batch).flat_map(|_| 0..STEPS as i64).collect();
     let tokens = 3 * STEPS;
     let mut inputs = ort::inputs! {
@@ -125,10 +115,7 @@ fn a_batch_of_two_equals_two_single_runs() {
     assert_ne!(together[0], together[1]);
     for (together, apart) in together.iter().zip(&apart) {
         // Logits of both halves, then keys and values of every layer.
-        assert_eq!(
-            apart.len(),
-            2 * STEPS * 16 + LAYERS * 2 * 3 * STEPS * HEADS * HEAD_SIZE
-        );
+        assert_eq!(apart.len(), 2 * STEPS * 16 + LAYERS * 2 * 3 * STEPS * HEADS * HEAD_SIZE);
         assert_eq!(together, apart, "bitwise");
     }
 }
@@ -164,9 +151,7 @@ fn a_batch_of_two_decodes_and_encodes_as_two_single_runs() {
             codes.chunks(STEPS).map(<[i64]>::to_vec).collect::<Vec<_>>()
         });
         // Sequence by sequence, so that batches can be compared with single runs.
-        (0..batch)
-            .flat_map(|i| [codes[0][i].clone(), codes[1][i].clone()].concat())
-            .collect()
+        (0..batch).flat_map(|i| [codes[0][i].clone(), codes[1][i].clone()].concat()).collect()
     };
     let (one, two) = apart.split_at(apart.len() / 2);
     assert_eq!(encode(&apart, 2), [encode(one, 1), encode(two, 1)].concat());

@@ -28,9 +28,7 @@ fn open(folder: &TempDir, batch: usize) -> Result<Engine, EngineError> {
 /// The golden rows over and over, from some row on.
 fn music(first: usize, length: usize) -> Array2<f32> {
     let golden = floats(&fixture("music.npy"));
-    let rows: Vec<usize> = (first..first + length)
-        .map(|row| row % golden.nrows())
-        .collect();
+    let rows: Vec<usize> = (first..first + length).map(|row| row % golden.nrows()).collect();
     golden.select(Axis(0), &rows)
 }
 
@@ -87,9 +85,8 @@ fn dances_side_by_side_are_those_that_each_gets_alone() {
     for weights in [WeightStorage::F32, WeightStorage::Int8] {
         let (folder, _) = imported(|options| options.description.weights = weights);
         let alone = open(&folder, 2).unwrap();
-        let alone: Vec<GenerationOutput> = (0..DANCES)
-            .map(|number| dance(&alone, number, Arc::new(())).unwrap())
-            .collect();
+        let alone: Vec<GenerationOutput> =
+            (0..DANCES).map(|number| dance(&alone, number, Arc::new(())).unwrap()).collect();
         // All at once; and more than there are rows, so that they take turns.
         for batch in [16, 3] {
             let together = open(&folder, batch).unwrap();
@@ -129,10 +126,7 @@ fn a_long_song_does_not_block_a_short_one() {
     let (folder, _) = imported(|_| {});
     // A single row: they cannot go side by side.
     let engine = open(&folder, 1).unwrap();
-    let options = GenerationOptions {
-        window: Some(WindowKind::Hop),
-        ..options(2)
-    };
+    let options = GenerationOptions { window: Some(WindowKind::Hop), ..options(2) };
     let (short, long) = (60, 6_000);
     let counting = Arc::new(Counting(Hold::new(), AtomicUsize::new(0)));
     std::thread::scope(|scope| {
@@ -142,10 +136,7 @@ fn a_long_song_does_not_block_a_short_one() {
         });
         counting.0.0.wait();
         let waiting = scope.spawn(|| {
-            engine.generate(GenerationRequest::features(
-                music(0, short),
-                options.clone(),
-            ))
+            engine.generate(GenerationRequest::features(music(0, short), options.clone()))
         });
         // It must be in the queue before the model goes on: it has no way to say so.
         std::thread::sleep(std::time::Duration::from_millis(200));
@@ -196,26 +187,17 @@ fn stepped(gpt: &mut Gpt, cache: &mut KvCache, prefilled: usize, dances: usize) 
     for row in 0..dances {
         cache.clear(row);
         if prefilled > 0 {
-            let steps = Steps {
-                codes: &codes[..prefilled],
-                music: rows(&music, 1..prefilled + 1),
-            };
+            let steps = Steps { codes: &codes[..prefilled], music: rows(&music, 1..prefilled + 1) };
             gpt.prefill(cache, row, steps).unwrap();
         }
         assert_eq!(cache.steps(row), prefilled);
     }
     (prefilled..20)
         .map(|step| {
-            let next = NextStep {
-                codes: codes[step],
-                music: music.row(step + 1),
-            };
+            let next = NextStep { codes: codes[step], music: music.row(step + 1) };
             let Logits { upper, lower } = gpt.step(cache, &vec![next; dances]).unwrap();
             let last = |half: Array2<f32>| half.select(Axis(0), &[dances - 1]);
-            Logits {
-                upper: last(upper),
-                lower: last(lower),
-            }
+            Logits { upper: last(upper), lower: last(lower) }
         })
         .collect()
 }

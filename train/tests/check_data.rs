@@ -66,20 +66,13 @@ fn a_spoiled_folder_is_explained_and_exits_with_1() {
     assert_eq!(output.status.code(), Some(1));
     let (report, errors) = texts(&output, folder);
     insta::assert_snapshot!("report_spoiled", report);
-    assert_eq!(
-        errors,
-        "error: DIR: not usable as it is: 2 problems, 1 warning\n"
-    );
+    assert_eq!(errors, "error: DIR: not usable as it is: 2 problems, 1 warning\n");
 
     let output = check_data(folder, &["--json", "--songs", "0"]);
     assert_eq!(output.status.code(), Some(1));
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let topics: Vec<&Value> = report["findings"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .map(|finding| &finding["topic"])
-        .collect();
+    let topics: Vec<&Value> =
+        report["findings"].as_array().unwrap().iter().map(|finding| &finding["topic"]).collect();
     assert_eq!(topics, ["missing-file", "units", "no-test"]);
     assert_eq!(report["splits"][0]["pieces"], 4);
 }
@@ -91,28 +84,17 @@ fn a_folder_without_data_is_one_line() {
     assert_eq!(output.status.code(), Some(1));
     let (report, errors) = texts(&output, folder.path());
     assert_eq!(report, "");
-    assert!(
-        errors.starts_with("error: DIR: no training data here"),
-        "{errors}"
-    );
+    assert!(errors.starts_with("error: DIR: no training data here"), "{errors}");
     assert_eq!(errors.lines().count(), 1);
 }
 
 fn report(folder: &Path, songs: usize) -> Report {
-    let options = CheckOptions {
-        songs: Some(songs),
-        beats: songs,
-        ..CheckOptions::default()
-    };
+    let options = CheckOptions { songs: Some(songs), beats: songs, ..CheckOptions::default() };
     check(folder, &options).unwrap()
 }
 
 fn topics(report: &Report) -> Vec<Topic> {
-    report
-        .findings
-        .iter()
-        .map(|finding| finding.topic)
-        .collect()
+    report.findings.iter().map(|finding| finding.topic).collect()
 }
 
 #[test]
@@ -123,11 +105,8 @@ fn the_salsa_set_is_as_its_description_says() {
     };
     let report = report(&folder, 3);
     assert!(report.findings.is_empty(), "{report}");
-    let counts: Vec<_> = report
-        .splits
-        .iter()
-        .map(|split| (split.pieces, split.dances, split.songs))
-        .collect();
+    let counts: Vec<_> =
+        report.splits.iter().map(|split| (split.pieces, split.dances, split.songs)).collect();
     assert_eq!(counts, [(198, 44, 128), (42, 6, 21)]);
     let minutes: Vec<String> = report
         .splits
@@ -150,9 +129,6 @@ fn the_ballroom_sample_and_the_motion_without_music_are_usable() {
     assert!(sample.findings.is_empty(), "{sample}");
     let folder = common::shared(test, "data/extra-motion").unwrap();
     let motion = report(&folder, 0);
-    assert_eq!(
-        topics(&motion),
-        [Topic::NoTest, Topic::NoMusic, Topic::Layout]
-    );
+    assert_eq!(topics(&motion), [Topic::NoTest, Topic::NoMusic, Topic::Layout]);
     assert_eq!(motion.splits[0].dances, 33);
 }

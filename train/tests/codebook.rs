@@ -25,11 +25,7 @@ fn catalogue(directory: &ModelDirectory) -> Catalogue {
 
 fn counted(directory: &ModelDirectory) -> Uses {
     let mut uses = Uses::new(directory.manifest().vocabulary);
-    uses.add(&Codes {
-        upper: vec![5, 5, 9, 5, 9, 5],
-        lower: vec![2, 2, 3, 2, 3, 2],
-    })
-    .unwrap();
+    uses.add(&Codes { upper: vec![5, 5, 9, 5, 9, 5], lower: vec![2, 2, 3, 2, 3, 2] }).unwrap();
     uses
 }
 
@@ -113,15 +109,10 @@ fn the_nearest_code_is_at_the_smallest_mean_distance_of_the_halfs_joints() {
             let nearest = &entry["nearest"];
             let found = nearest["distance_m"].as_f64().unwrap();
             let others = (0..CODES).filter(|&other| other != code);
-            let best = others
-                .map(|other| apart(code, other))
-                .fold(f64::MAX, f64::min);
+            let best = others.map(|other| apart(code, other)).fold(f64::MAX, f64::min);
             assert!((found - best).abs() < 1e-5, "{half} {code}: {found} {best}");
             let named = nearest["code"].as_u64().unwrap() as usize;
-            assert!(
-                (apart(code, named) - best).abs() < 1e-5,
-                "{half} {code}: {named}"
-            );
+            assert!((apart(code, named) - best).abs() < 1e-5, "{half} {code}: {named}");
         }
     }
 }
@@ -134,11 +125,7 @@ fn a_sheet_has_a_numbered_figure_for_every_code() {
     for (half, title) in [(Half::Upper, "Upper"), (Half::Lower, "Lower")] {
         let svg = catalogue.sheet(half, 6, Order::Number).unwrap();
         // Three rows of six hold sixteen.
-        assert!(
-            svg.starts_with("<svg width=\"960\" height=\"700\""),
-            "{}",
-            &svg[..90]
-        );
+        assert!(svg.starts_with("<svg width=\"960\" height=\"700\""), "{}", &svg[..90]);
         let labels = labels(&svg);
         assert_eq!(labels[0], format!("{title} codes of tiny &lt;&amp;&gt; co"));
         let numbers: Vec<String> = (0..CODES).map(|code| code.to_string()).collect();
@@ -149,11 +136,7 @@ fn a_sheet_has_a_numbered_figure_for_every_code() {
     }
     // A row is never wider than there are codes.
     let svg = catalogue.sheet(Half::Upper, 900, Order::Number).unwrap();
-    assert!(
-        svg.starts_with("<svg width=\"2560\" height=\"276\""),
-        "{}",
-        &svg[..90]
-    );
+    assert!(svg.starts_with("<svg width=\"2560\" height=\"276\""), "{}", &svg[..90]);
 }
 
 #[test]

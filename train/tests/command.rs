@@ -26,8 +26,7 @@ fn failure(output: &Output, folder: &Path) -> String {
     assert_eq!(text.lines().count(), 1, "{text}");
     assert!(stdout(output).is_empty());
     let fixtures = fixture("");
-    text.replace(folder.to_str().unwrap(), "DIR")
-        .replace(fixtures.to_str().unwrap(), "FIXTURES/")
+    text.replace(folder.to_str().unwrap(), "DIR").replace(fixtures.to_str().unwrap(), "FIXTURES/")
 }
 
 #[test]
@@ -46,11 +45,7 @@ fn help() {
 #[test]
 fn wrong_usage_exits_with_2() {
     let import = ["import", "--vqvae", "a", "--gpt", "b", "--out", "c"];
-    let wrong = [
-        ["--temperature", "-1"],
-        ["--profile", "librosa-9"],
-        ["--root-height", "nan"],
-    ];
+    let wrong = [["--temperature", "-1"], ["--profile", "librosa-9"], ["--root-height", "nan"]];
     let imports = wrong.map(|wrong| [&import[..], &wrong].concat());
     let others = [&["dance"][..], &["import"], &["encode", "--out", "c"]].map(<[_]>::to_vec);
     for arguments in imports.iter().chain(&others) {
@@ -62,10 +57,7 @@ fn wrong_usage_exits_with_2() {
 fn an_import_reports_and_is_not_overwritten_by_accident() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("model");
-    let output = import(
-        &out,
-        &["--heads", "4", "--name", "tiny", "--licence", "MIT"],
-    );
+    let output = import(&out, &["--heads", "4", "--name", "tiny", "--licence", "MIT"]);
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let report = stdout(&output).replace(folder.path().to_str().unwrap(), "DIR");
     assert!(report.starts_with("wrote DIR/model (tiny)\n"), "{report}");
@@ -75,10 +67,7 @@ fn an_import_reports_and_is_not_overwritten_by_accident() {
         "error: DIR/model is already there: choose another directory, or replace the model in it \
          with --force\n"
     );
-    assert_eq!(
-        import(&out, &["--heads", "4", "--force"]).status.code(),
-        Some(0)
-    );
+    assert_eq!(import(&out, &["--heads", "4", "--force"]).status.code(), Some(0));
 }
 
 #[test]
@@ -89,14 +78,8 @@ fn the_manifest_holds_what_was_asked_for() {
         std::fs::write(&path, text).unwrap();
         path.to_str().unwrap().to_owned()
     };
-    let starts = file(
-        "starts.json",
-        r#"{"start_codes": [[8, 3], [0, 15]], "heads": 4}"#,
-    );
-    let training = file(
-        "training.json",
-        r#"{"steps": 2200, "data": "random numbers"}"#,
-    );
+    let starts = file("starts.json", r#"{"start_codes": [[8, 3], [0, 15]], "heads": 4}"#);
+    let training = file("training.json", r#"{"steps": 2200, "data": "random numbers"}"#);
     let out = folder.path().join("model");
     let output = import(
         &out,
@@ -125,17 +108,10 @@ fn the_manifest_holds_what_was_asked_for() {
     let text = std::fs::read_to_string(out.join("manifest.json")).unwrap();
     let mut manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
     // The skeleton and the hashes have tests of their own.
-    manifest["skeleton"]
-        .as_object_mut()
-        .unwrap()
-        .retain(|key, _| key == "root_height");
-    manifest["files"]
-        .as_object_mut()
-        .unwrap()
-        .values_mut()
-        .for_each(|file| {
-            *file = serde_json::Value::Null;
-        });
+    manifest["skeleton"].as_object_mut().unwrap().retain(|key, _| key == "root_height");
+    manifest["files"].as_object_mut().unwrap().values_mut().for_each(|file| {
+        *file = serde_json::Value::Null;
+    });
     insta::with_settings!({sort_maps => true}, {
         insta::assert_json_snapshot!("manifest", manifest);
     });
@@ -177,10 +153,7 @@ fn failures_are_one_line_and_leave_nothing() {
         import(folder.path(), &["--heads", "4", "--force"]),
         import(&folder.path().join("text.pt/model"), heads),
     ];
-    let lines: String = outputs
-        .iter()
-        .map(|output| failure(output, folder.path()))
-        .collect();
+    let lines: String = outputs.iter().map(|output| failure(output, folder.path())).collect();
     insta::assert_snapshot!("failures", lines);
     assert!(!out.exists());
     let left = std::fs::read_dir(folder.path()).unwrap().count();

@@ -13,10 +13,7 @@ use bailando_train::{
 fn compared(weights: WeightStorage) -> Comparison {
     let (original, _) = imported(|_| {});
     let (other, _) = imported(|options| options.description.weights = weights);
-    let (data, cache) = (
-        TestFolder::good(&skeleton(0.93)),
-        tempfile::tempdir().unwrap(),
-    );
+    let (data, cache) = (TestFolder::good(&skeleton(0.93)), tempfile::tempdir().unwrap());
     let options = CompareOptions {
         original: original.path().join("model"),
         model: other.path().join("model"),
@@ -42,10 +39,7 @@ fn a_copy_is_equal_and_eight_bits_are_nearly() {
     let small = compared(WeightStorage::Int8);
     assert!(2 * small.bytes < small.bytes_of_original);
     assert!(small.divergence > 0.0 && small.divergence < 0.1, "{small}");
-    assert!(
-        small.same_likeliest > 0.5 && small.same_drawn > 0.5,
-        "{small}"
-    );
+    assert!(small.same_likeliest > 0.5 && small.same_drawn > 0.5, "{small}");
     assert!(small.same_drawn < 1.0, "{small}");
     assert!(small.to_string().contains("are drawn by both"), "{small}");
 }

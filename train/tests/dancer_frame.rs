@@ -48,21 +48,11 @@ fn write(weights: &VqVaeWeights, frame: MotionFrame, out: &Path) -> Result<Manif
     let gpt = gpt();
     let mut description = options(Path::new(""), Path::new(""), out).description;
     description.motion_frame = frame;
-    write_model_directory(
-        out,
-        false,
-        &gpt,
-        &InputRanges::default(),
-        weights,
-        &description,
-    )
+    write_model_directory(out, false, &gpt, &InputRanges::default(), weights, &description)
 }
 
 fn open(model: &Path) -> Result<Engine, EngineError> {
-    Engine::open(&EngineConfig {
-        threads: 1,
-        ..EngineConfig::new(model)
-    })
+    Engine::open(&EngineConfig { threads: 1, ..EngineConfig::new(model) })
 }
 
 /// A dance of more than two chunks.
@@ -70,14 +60,9 @@ fn dance(engine: &Engine) -> GenerationOutput {
     let music = Array2::from_shape_fn((150, 438), |(row, column)| {
         ((row * 31 + column * 7) % 97) as f32 / 97.0 - 0.5
     });
-    let options = GenerationOptions {
-        seed: Some(1),
-        temperature: Some(1.0),
-        ..GenerationOptions::default()
-    };
-    engine
-        .generate(GenerationRequest::features(music, options))
-        .unwrap()
+    let options =
+        GenerationOptions { seed: Some(1), temperature: Some(1.0), ..GenerationOptions::default() };
+    engine.generate(GenerationRequest::features(music, options)).unwrap()
 }
 
 /// What the trainer's network makes of `codes`, `[frames, columns]`.
@@ -100,10 +85,9 @@ fn decoded_by_networks(weights: &VqVaeWeights, upper: &[u32], lower: &[u32]) -> 
     let root = network(&weights.root, &weights.lower.codebook, lower);
     let mut motion = Array2::zeros((root.nrows(), 73));
     let (upper_joints, lower_joints) = HALF_JOINTS;
-    for (half, joints, codes) in [
-        (&weights.upper, &upper_joints[..], upper),
-        (&weights.lower, &lower_joints[..], lower),
-    ] {
+    for (half, joints, codes) in
+        [(&weights.upper, &upper_joints[..], upper), (&weights.lower, &lower_joints[..], lower)]
+    {
         let columns = network(&half.decoder, &half.codebook, codes);
         for (place, &joint) in joints.iter().enumerate() {
             for axis in 0..3 {
@@ -132,10 +116,7 @@ fn a_dance_is_served_in_world_directions() {
     let own = decoded_by_networks(&weights, upper, lower);
     let turned: f32 = own.column(72).sum();
     println!("turned by {turned}");
-    assert!(
-        turned.abs() > 3.0,
-        "a dance that does not turn tests nothing"
-    );
+    assert!(turned.abs() > 3.0, "a dance that does not turn tests nothing");
     let world = to_world_frame(own.view()).unwrap();
     assert_close(&motion, &world, TOLERANCE, "served from chunks");
 
@@ -150,10 +131,9 @@ fn a_dance_is_served_in_world_directions() {
 #[test]
 fn the_manifest_says_the_frame_only_where_it_is_the_dancers() {
     let folder = tempfile::tempdir().unwrap();
-    for (weights, frame, line) in [
-        (vqvae(), MotionFrame::World, None),
-        (turning(), MotionFrame::Dancer, Some("dancer")),
-    ] {
+    for (weights, frame, line) in
+        [(vqvae(), MotionFrame::World, None), (turning(), MotionFrame::Dancer, Some("dancer"))]
+    {
         let model = folder.path().join(format!("{frame:?}"));
         let written = write(&weights, frame, &model).unwrap();
         let read = ModelDirectory::open(&model).unwrap();
@@ -173,10 +153,7 @@ fn the_first_manifest_is_unchanged_by_reading_and_writing() {
     let manifest = unchanged("../tests/fixtures/model/manifest_of_the_first_model.json");
     assert_eq!(manifest.motion_frame, MotionFrame::World);
     assert_eq!(manifest.decoded_columns(), 72);
-    assert_eq!(
-        (manifest.sampling.guidance, manifest.sampling.candidates),
-        (1.0, 1)
-    );
+    assert_eq!((manifest.sampling.guidance, manifest.sampling.candidates), (1.0, 1));
 }
 
 #[test]
@@ -202,10 +179,9 @@ fn a_manifest_with_the_wrong_frame_is_refused_at_start() {
     write(&turning(), MotionFrame::Dancer, &model).unwrap();
     let path = model.join("manifest.json");
     let honest = fs::read_to_string(&path).unwrap();
-    for (frame, problem) in [
-        ("world", "motion has 73 columns, expected 72"),
-        ("moon", "unknown variant `moon`"),
-    ] {
+    for (frame, problem) in
+        [("world", "motion has 73 columns, expected 72"), ("moon", "unknown variant `moon`")]
+    {
         fs::write(&path, honest.replace("\"dancer\"", &format!("\"{frame}\""))).unwrap();
         let error = open(&model).unwrap_err().to_string();
         assert!(error.contains(problem), "{error}");

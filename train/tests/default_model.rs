@@ -21,16 +21,11 @@ fn the_default_model_is_whole() {
     assert!(motion.iter().all(|value| value.abs() < 2.0));
 
     let entries = fs::read_dir(&folder).unwrap();
-    let bytes: u64 = entries
-        .map(|entry| entry.unwrap().metadata().unwrap().len())
-        .sum();
+    let bytes: u64 = entries.map(|entry| entry.unwrap().metadata().unwrap().len()).sum();
     assert!(bytes <= LIMIT_BYTES, "{bytes} bytes");
     let card = fs::read_to_string(folder.join("MODEL_CARD.md")).unwrap();
     assert!(card.contains(&directory.manifest().name));
-    assert!(
-        card.contains("mocap.cs.cmu.edu"),
-        "the data's owner is not acknowledged"
-    );
+    assert!(card.contains("mocap.cs.cmu.edu"), "the data's owner is not acknowledged");
 }
 
 /// ARCHITECTURE section 7: one code repeated decodes to a still pose. That is why one frame can

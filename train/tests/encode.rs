@@ -15,11 +15,7 @@ fn golden_positions() -> Array3<f32> {
     let motion = floats(&fixture("motion.npy"));
     Array3::from_shape_fn((motion.nrows(), 24, 3), |(frame, joint, axis)| {
         let root = [0.0, 0.9, 0.0][axis];
-        root + if joint == 0 {
-            0.0
-        } else {
-            motion[[frame, 3 * joint + axis]]
-        }
+        root + if joint == 0 { 0.0 } else { motion[[frame, 3 * joint + axis]] }
     })
 }
 
@@ -59,11 +55,7 @@ fn recordings_get_the_golden_codes_and_are_decoded_again() {
         assert!((step - decoded[[7, axis]]).abs() < 1e-5);
     }
     // The other split has two recordings, one of them with two songs.
-    let both = EncodeOptions {
-        split: Split::Train,
-        reconstruct: false,
-        ..options
-    };
+    let both = EncodeOptions { split: Split::Train, reconstruct: false, ..options };
     assert_eq!(encode(&both).unwrap(), 2);
     assert!(out.path().join("one_a.codes.npy").is_file());
     assert!(!out.path().join("one_a.npy").exists());

@@ -33,10 +33,7 @@ fn a_run_with_separate_halves_dances_but_is_not_exported() {
     let early = train(&["generate", &config, "--out", &path("early")]);
     let message = String::from_utf8(early.stderr).unwrap();
     assert_eq!(early.status.code(), Some(1));
-    assert!(
-        message.contains("run `bailando-train gpt` first"),
-        "{message}"
-    );
+    assert!(message.contains("run `bailando-train gpt` first"), "{message}");
     assert!(!Path::new(&path("early")).exists());
 
     let run = train(&["run", &config]);

@@ -23,16 +23,8 @@ struct Sampling {
     kept: usize,
 }
 
-const SAMPLINGS: [Sampling; 2] = [
-    Sampling {
-        name: "slide",
-        kept: 28,
-    },
-    Sampling {
-        name: "shift15",
-        kept: 15,
-    },
-];
+const SAMPLINGS: [Sampling; 2] =
+    [Sampling { name: "slide", kept: 28 }, Sampling { name: "shift15", kept: 15 }];
 
 impl Sampling {
     fn codes(&self) -> (Vec<u32>, Vec<u32>) {
@@ -182,10 +174,8 @@ fn cached_single_steps_equal_the_whole_window() {
         }
         for step in prefilled..CONTEXT {
             assert_eq!(cache.steps(0), step);
-            let next = NextStep {
-                codes: [codes.0[step], codes.1[step]],
-                music: music.row(step + 1),
-            };
+            let next =
+                NextStep { codes: [codes.0[step], codes.1[step]], music: music.row(step + 1) };
             let single = gpt.step(&mut cache, &[next]).unwrap();
             let whole = run(&mut gpt, &codes, 0, step + 1);
             let what = format!("step {step} after a prefill of {prefilled}");
@@ -204,9 +194,8 @@ fn the_future_is_hidden() {
     other.0[20] = (other.0[20] + 1) % 16;
     other.1[20] = (other.1[20] + 1) % 16;
     let [first, second] = [&codes, &other].map(|codes| run(&mut gpt, codes, 0, 28));
-    let changed: Vec<usize> = (0..28)
-        .filter(|&row| first.upper.row(row) != second.upper.row(row))
-        .collect();
+    let changed: Vec<usize> =
+        (0..28).filter(|&row| first.upper.row(row) != second.upper.row(row)).collect();
     assert_eq!(changed, (20..28).collect::<Vec<_>>());
 }
 
@@ -247,10 +236,7 @@ fn chunks_that_overlap_by_the_receptive_field_decode_as_the_whole() {
     }
     let careless = decode_chunked(&directory, &codes, 40, 1);
     let difference = (&careless - &whole).mapv(f32::abs);
-    assert!(
-        difference.iter().any(|&d| d > 1e-3),
-        "an overlap of 1 would do"
-    );
+    assert!(difference.iter().any(|&d| d > 1e-3), "an overlap of 1 would do");
 }
 
 #[test]

@@ -47,11 +47,7 @@ fn settings(data: &Path, folder: &Path, checkpoint_seconds: f64) -> PathBuf {
     set("data", "folder", text(data.to_owned()));
     set("data", "cache", text(data.join("features")));
     // What the published settings leave out has random numbers of its own, and columns of its own.
-    set(
-        "data",
-        "count_periods",
-        vec![Value::from(1), 4.into()].into(),
-    );
+    set("data", "count_periods", vec![Value::from(1), 4.into()].into());
     set("gpt", "code_noise", 0.1.into());
     set("run", "folder", text(folder.join("run")));
     set("run", "log_steps", 2.into());
@@ -141,24 +137,12 @@ fn same(whole: &Path, broken: &Path) {
 
 /// The engine dances to a song with the model, counts included.
 fn dances(model: &Path, song: &Path) {
-    let engine = Engine::open(&EngineConfig {
-        threads: 1,
-        ..EngineConfig::new(model)
-    })
-    .unwrap();
+    let engine = Engine::open(&EngineConfig { threads: 1, ..EngineConfig::new(model) }).unwrap();
     let features = &engine.manifest().features;
-    assert_eq!(
-        (features.columns, &features.count_periods[..]),
-        (442, &[1, 4][..])
-    );
-    let options = GenerationOptions {
-        seed: Some(1),
-        ..GenerationOptions::default()
-    };
+    assert_eq!((features.columns, &features.count_periods[..]), (442, &[1, 4][..]));
+    let options = GenerationOptions { seed: Some(1), ..GenerationOptions::default() };
     let song = fs::read(song).unwrap();
-    let output = engine
-        .generate(GenerationRequest::audio(song, options))
-        .unwrap();
+    let output = engine.generate(GenerationRequest::audio(song, options)).unwrap();
     let dance = output.into_motion(engine.manifest());
     assert_eq!(dance.positions.dim(), (10 * 60 + 8, 24, 3));
     assert_eq!(dance.music, None, "beats that were not asked for");
@@ -206,10 +190,7 @@ fn a_run_that_is_killed_ends_as_one_that_is_not() {
     fs::remove_file(data.path("index.json")).unwrap();
     let report = finish(&disturbed);
     for (stage, ..) in STAGES {
-        assert!(
-            report.contains(&format!("{stage}: finished before\n")),
-            "{report}"
-        );
+        assert!(report.contains(&format!("{stage}: finished before\n")), "{report}");
     }
     same(whole, broken);
     another_default_is_another_model(&disturbed, &broken.join("model"));
@@ -241,16 +222,10 @@ fn an_interrupt_writes_a_checkpoint() {
     for signal in ["INT", "TERM"] {
         let mut child = command(&path).stdout(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
-        let line = lines
-            .by_ref()
-            .map(|line| line.unwrap())
-            .find(|line| place(line).is_some());
+        let line = lines.by_ref().map(|line| line.unwrap()).find(|line| place(line).is_some());
         let (_, reported) = place(&line.unwrap()).unwrap();
         let id = child.id().to_string();
-        let sent = Command::new("kill")
-            .args(["-s", signal, &id])
-            .status()
-            .unwrap();
+        let sent = Command::new("kill").args(["-s", signal, &id]).status().unwrap();
         assert!(sent.success());
         let last = lines.last().unwrap().unwrap();
         assert_eq!(last, "paused: the same command resumes", "{signal}");

@@ -60,10 +60,7 @@ fn encoders_give_the_golden_codes() {
         codes.into_data().iter::<u32>().collect::<Vec<_>>()
     };
     assert_eq!(half(&weights.upper, &upper), codes(&fixture("enc_up.npy")));
-    assert_eq!(
-        half(&weights.lower, &lower),
-        codes(&fixture("enc_down.npy"))
-    );
+    assert_eq!(half(&weights.lower, &lower), codes(&fixture("enc_down.npy")));
 }
 
 #[test]
@@ -89,10 +86,7 @@ fn decoders_give_the_golden_motion() {
                     let (found, wanted) =
                         (row[3 * place + axis], golden[[frame, 3 * joint + axis]]);
                     let error = (found - wanted).abs();
-                    assert!(
-                        error <= TOLERANCE,
-                        "frame {frame}, joint {joint}: {found} {wanted}"
-                    );
+                    assert!(error <= TOLERANCE, "frame {frame}, joint {joint}: {found} {wanted}");
                 }
             }
         }
@@ -102,11 +96,7 @@ fn decoders_give_the_golden_motion() {
     // The root's own columns give way to the velocity.
     let found = decode(&weights.lower.decoder, &weights.lower.codebook, "down");
     check(&found, &lower, 1);
-    check(
-        &decode(&weights.root, &weights.lower.codebook, "down"),
-        &[0],
-        0,
-    );
+    check(&decode(&weights.root, &weights.lower.codebook, "down"), &[0], 0);
 }
 
 #[test]
@@ -125,10 +115,7 @@ fn the_gpt_gives_the_golden_logits() {
         assert_eq!(found.len(), golden.len());
         for (place, (found, wanted)) in found.iter().zip(&golden).enumerate() {
             let error = (found - wanted).abs();
-            assert!(
-                error <= TOLERANCE,
-                "{half} {place}: {found}, expected {wanted}"
-            );
+            assert!(error <= TOLERANCE, "{half} {place}: {found}, expected {wanted}");
         }
     }
 }

@@ -53,10 +53,7 @@ fn music(phase: f32) -> Array2<f32> {
 
 /// A beat every half second.
 fn song(phase: f32) -> Song {
-    Song {
-        rows: music(phase),
-        beats: (0..480).map(|frame| frame % 30 == 0).collect(),
-    }
+    Song { rows: music(phase), beats: (0..480).map(|frame| frame % 30 == 0).collect() }
 }
 
 /// A run with its first three stages done.
@@ -88,19 +85,14 @@ fn copied(config: &Config, folder: &Path) -> Config {
 }
 
 fn steps(most: u64) -> Limits {
-    Limits {
-        steps: Some(most),
-        ..Limits::default()
-    }
+    Limits { steps: Some(most), ..Limits::default() }
 }
 
 /// Values of a column of `metrics.csv`, by step.
 fn column(folder: &Path, column: usize) -> Vec<f32> {
     let text = fs::read_to_string(folder.join("metrics.csv")).unwrap();
     let lines = text.lines().skip(1);
-    lines
-        .map(|line| line.split(',').nth(column).unwrap().parse().unwrap())
-        .collect()
+    lines.map(|line| line.split(',').nth(column).unwrap().parse().unwrap()).collect()
 }
 
 /// Bytes of the weights of a checkpoint, by name.
@@ -132,15 +124,7 @@ fn rewards_move_the_policy() {
 
 fn resumes_exactly(whole: &Config, broken: &Config, set: &MotionSet) {
     let run = |config: &Config, limits| {
-        train(
-            Stage::ActorCritic,
-            config,
-            set,
-            None,
-            limits,
-            &mut Vec::new(),
-        )
-        .unwrap()
+        train(Stage::ActorCritic, config, set, None, limits, &mut Vec::new()).unwrap()
     };
     // 3 pieces of 40 codes have 36 windows, so an epoch is 3 steps: within, and between epochs.
     for limits in [steps(1), steps(2), steps(1), steps(4)] {
@@ -189,13 +173,7 @@ fn only_policy_and_critic_move(config: &Config) {
     let before = weights(&config.run.folder.join("gpt"));
     let after = weights(&config.run.folder.join("actor-critic"));
     let state = |name: &str| {
-        let parts = [
-            "music.",
-            "upper_embedding",
-            "lower_embedding",
-            "positions",
-            "blocks.0.",
-        ];
+        let parts = ["music.", "upper_embedding", "lower_embedding", "positions", "blocks.0."];
         parts.iter().any(|part| name.starts_with(part))
     };
     assert_eq!(before.iter().filter(|(name, _)| state(name)).count(), 21);
@@ -259,10 +237,7 @@ fn commands_train_and_adapt() {
     let more: toml::Table = more.parse().unwrap();
     for (name, table) in more {
         let section = text.entry(name).or_insert(toml::Table::new().into());
-        section
-            .as_table_mut()
-            .unwrap()
-            .extend(table.as_table().unwrap().clone());
+        section.as_table_mut().unwrap().extend(table.as_table().unwrap().clone());
     }
     for stage in ["vqvae", "velocity", "gpt"] {
         text[stage]["training"]["steps"] = 4.into();

@@ -22,11 +22,8 @@ use tempfile::TempDir;
 const START: (u32, u32) = (8, 3);
 
 fn open(folder: &TempDir) -> Engine {
-    Engine::open(&EngineConfig {
-        threads: 1,
-        ..EngineConfig::new(folder.path().join("model"))
-    })
-    .unwrap()
+    Engine::open(&EngineConfig { threads: 1, ..EngineConfig::new(folder.path().join("model")) })
+        .unwrap()
 }
 
 fn options(window: WindowKind) -> GenerationOptions {
@@ -44,33 +41,16 @@ fn assert_golden_sampling(engine: &Engine, window: WindowKind, name: &str) {
     let music = floats(&fixture("music.npy"));
     let request = GenerationRequest::features(music, options(window));
     let dance = engine.generate(request).unwrap();
-    assert_eq!(
-        dance.codes.upper,
-        codes(&fixture(&format!("codes_{name}_up.npy"))),
-        "{name}"
-    );
-    assert_eq!(
-        dance.codes.lower,
-        codes(&fixture(&format!("codes_{name}_down.npy"))),
-        "{name}"
-    );
-    let raw = if name == "slide" {
-        "decode_raw.npy"
-    } else {
-        "decode_raw_shift15.npy"
-    };
+    assert_eq!(dance.codes.upper, codes(&fixture(&format!("codes_{name}_up.npy"))), "{name}");
+    assert_eq!(dance.codes.lower, codes(&fixture(&format!("codes_{name}_down.npy"))), "{name}");
+    let raw = if name == "slide" { "decode_raw.npy" } else { "decode_raw_shift15.npy" };
     let motion = dance.into_decoded();
     assert_close(&motion, &floats(&fixture(raw)), TOLERANCE, raw);
     if name == "slide" {
         let joints = integrate_root(motion.view(), [0.0; 3]).unwrap();
         let frames = joints.dim().0;
         let joints = joints.into_shape_with_order((frames, 72)).unwrap();
-        assert_close(
-            &joints,
-            &floats(&fixture("joints_abs.npy")),
-            TOLERANCE,
-            "joints_abs.npy",
-        );
+        assert_close(&joints, &floats(&fixture("joints_abs.npy")), TOLERANCE, "joints_abs.npy");
     }
 }
 
@@ -116,9 +96,7 @@ fn a_piece_decodes_the_same_in_chunks_and_at_once() {
     });
     let mut options = options(WindowKind::Hop);
     options.temperature = Some(1.0);
-    let dance = engine
-        .generate(GenerationRequest::features(music, options))
-        .unwrap();
+    let dance = engine.generate(GenerationRequest::features(music, options)).unwrap();
     let codes = code_pairs(&dance.codes.upper, &dance.codes.lower).unwrap();
     let whole = directory.decoder(1).unwrap().decode(&codes).unwrap();
     assert_eq!(whole.nrows(), 1600);
@@ -135,10 +113,7 @@ fn seeds_decide_the_dance_and_given_codes_begin_it() {
         options.temperature = Some(1.0);
         options.start_upper = start;
         let music = floats(&fixture("music.npy"));
-        engine
-            .generate(GenerationRequest::features(music, options))
-            .unwrap()
-            .codes
+        engine.generate(GenerationRequest::features(music, options)).unwrap().codes
     };
     assert_eq!(dance(4, None), dance(4, None));
     assert_ne!(dance(4, None), dance(5, None));
@@ -263,9 +238,7 @@ fn a_directory_that_does_not_fit_its_manifest_is_refused_in_one_line() {
     let (folder, _) = imported(|_| {});
     let model = folder.path().join("model");
     let refused = |expected: &str| {
-        let error = bailando::model::ModelDirectory::open(&model)
-            .unwrap_err()
-            .to_string();
+        let error = bailando::model::ModelDirectory::open(&model).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
         assert!(!error.contains('\n'), "{error}");
     };
@@ -284,10 +257,7 @@ fn a_directory_that_does_not_fit_its_manifest_is_refused_in_one_line() {
     let manifest = model.join("manifest.json");
     let text = std::fs::read_to_string(&manifest).unwrap();
     let write = |path: &Path, text: &str| std::fs::write(path, text).unwrap();
-    write(
-        &manifest,
-        &text.replace("\"decoder.onnx\"", "\"../decoder.onnx\""),
-    );
+    write(&manifest, &text.replace("\"decoder.onnx\"", "\"../decoder.onnx\""));
     refused("manifest.json");
     write(&manifest, "{}");
     refused("manifest.json");

@@ -55,12 +55,7 @@ fn import(folder: &Path, checkpoint: &Path) -> Output {
         .args(["-c", "ulimit -v 4194304; exec \"$0\" \"$@\""])
         .arg(env!("CARGO_BIN_EXE_bailando-train"))
         .arg("import")
-        .args([
-            Path::new("--vqvae"),
-            checkpoint,
-            Path::new("--gpt"),
-            checkpoint,
-        ])
+        .args([Path::new("--vqvae"), checkpoint, Path::new("--gpt"), checkpoint])
         .arg("--out")
         .arg(folder.join("model"));
     shell.output().unwrap()
@@ -76,20 +71,12 @@ fn nothing_in_a_checkpoint_runs() {
     for object in [
         with(b"cposix\nsystem\n", &command, b"\x85R."),
         with(b"cos\nsystem\n(", &command, b"tR."),
-        with(
-            b"c__builtin__\nopen\n(",
-            &text(mark.to_str().unwrap()),
-            b"X\x01\x00\x00\x00wtR.",
-        ),
+        with(b"c__builtin__\nopen\n(", &text(mark.to_str().unwrap()), b"X\x01\x00\x00\x00wtR."),
         with(b"cbuiltins\neval\n", &python, b"\x85R."),
         with(b"csubprocess\nPopen\n(", &command, b"t\x81."),
         with(b"(", &command, b"ios\nsystem\n."),
         with(b"(cos\nsystem\n", &command, b"o."),
-        with(
-            b"csite\nmain\n)\x81}(X\x0c\x00\x00\x00__setstate__cos\nsystem\nub",
-            &command,
-            b"b.",
-        ),
+        with(b"csite\nmain\n)\x81}(X\x0c\x00\x00\x00__setstate__cos\nsystem\nub", &command, b"b."),
         // Beside a tensor that is read.
         with(
             &with(b"}(X\x01\x00\x00\x00acos\nsystem\n", &command, b"\x85R"),
@@ -129,10 +116,7 @@ fn a_tensor_is_not_as_large_as_it_says() {
             let read = opened.and_then(|mut checkpoint| checkpoint.tensor(NAME));
             let error = read.unwrap_err().to_string();
             let refusals = ["should have", "list of storages", "hold more than"];
-            assert!(
-                refusals.iter().any(|refusal| error.contains(refusal)),
-                "{error}"
-            );
+            assert!(refusals.iter().any(|refusal| error.contains(refusal)), "{error}");
             let output = import(folder.path(), &path);
             let said = String::from_utf8(output.stderr).unwrap();
             assert_eq!(output.status.code(), Some(1), "{said}");
@@ -147,9 +131,8 @@ fn a_zip_may_not_be_larger_than_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.pt");
     // Every size in the central directory, one after another, says 4 GiB.
-    let heads: Vec<usize> = (0..file.len() - 4)
-        .filter(|&at| file[at..].starts_with(b"PK\x01\x02"))
-        .collect();
+    let heads: Vec<usize> =
+        (0..file.len() - 4).filter(|&at| file[at..].starts_with(b"PK\x01\x02")).collect();
     assert!(heads.len() > 10);
     let mut all = file;
     for at in heads {

@@ -50,9 +50,7 @@ fn run(config: &Config, set: &MotionSet, stage: Stage, limits: Limits) -> Outcom
 fn losses(config: &Config, stage: &str) -> Vec<f32> {
     let text = fs::read_to_string(config.run.folder.join(stage).join("metrics.csv")).unwrap();
     let lines = text.lines().skip(1);
-    lines
-        .map(|line| line.split(',').nth(2).unwrap().parse().unwrap())
-        .collect()
+    lines.map(|line| line.split(',').nth(2).unwrap().parse().unwrap()).collect()
 }
 
 #[test]
@@ -62,21 +60,12 @@ fn a_run_learns_resumes_exactly_and_is_served() {
     let [whole, broken] = [0, 1].map(|index| config(folders[index].path()));
     let set = motion_set();
     for stage in STAGES {
-        assert_eq!(
-            run(&whole, &set, stage, Limits::default()),
-            Outcome::Finished
-        );
+        assert_eq!(run(&whole, &set, stage, Limits::default()), Outcome::Finished);
         for steps in [7, 18] {
-            let limits = Limits {
-                steps: Some(steps),
-                ..Limits::default()
-            };
+            let limits = Limits { steps: Some(steps), ..Limits::default() };
             assert_eq!(run(&broken, &set, stage, limits), Outcome::Paused);
         }
-        assert_eq!(
-            run(&broken, &set, stage, Limits::default()),
-            Outcome::Finished
-        );
+        assert_eq!(run(&broken, &set, stage, Limits::default()), Outcome::Finished);
     }
     for stage in ["vqvae", "velocity", "gpt"] {
         let losses = losses(&whole, stage);
@@ -86,10 +75,7 @@ fn a_run_learns_resumes_exactly_and_is_served() {
         for file in ["metrics.csv", "checkpoint.safetensors"] {
             let read =
                 |config: &Config| fs::read(config.run.folder.join(stage).join(file)).unwrap();
-            assert!(
-                read(&whole) == read(&broken),
-                "{stage}/{file} differs after resuming"
-            );
+            assert!(read(&whole) == read(&broken), "{stage}/{file} differs after resuming");
         }
     }
     export(&whole, false).unwrap();
@@ -114,9 +100,7 @@ fn serves_the_same(config: &Config) {
     let net = DecoderNet::new("root", &vqvae.root, &mut store);
     let entries = Codebook::<Flex>::new(&vqvae.lower.codebook, &device).lookup(indices(&lower));
     let parameters = Parameters::from_store(&store, &device);
-    let velocity = net
-        .forward(&parameters, entries.unsqueeze_dim(0))
-        .into_data();
+    let velocity = net.forward(&parameters, entries.unsqueeze_dim(0)).into_data();
     let velocity: Vec<f32> = velocity.iter::<f32>().collect();
     let mut decoder = directory.decoder(1).unwrap();
     let pairs = code_pairs(&upper, &lower).unwrap();
@@ -137,10 +121,7 @@ fn serves_the_same(config: &Config) {
     let halves = [&upper, &lower].map(|codes| indices(codes).unsqueeze_dim::<2>(0));
     let logits = net.forward(&parameters, Tensor::from_data(rows, &device), halves, 0.0);
     let mut served = directory.gpt(1).unwrap();
-    let steps = Steps {
-        codes: &pairs,
-        music: music.view(),
-    };
+    let steps = Steps { codes: &pairs, music: music.view() };
     let served = served.logits(steps).unwrap();
     for (own, served) in [(logits.upper, served.upper), (logits.lower, served.lower)] {
         let own: Vec<f32> = own.into_data().iter::<f32>().collect();

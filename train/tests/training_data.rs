@@ -27,11 +27,9 @@ fn config(data: &Path, out: &Path) -> Config {
     config.data.folder = data.to_owned();
     config.data.cache = out.join("features");
     config.run.folder = out.join("run");
-    for training in [
-        &mut config.vqvae.training,
-        &mut config.velocity.training,
-        &mut config.gpt.training,
-    ] {
+    for training in
+        [&mut config.vqvae.training, &mut config.velocity.training, &mut config.gpt.training]
+    {
         (training.steps, training.batch) = (3, 2);
     }
     config
@@ -64,9 +62,7 @@ fn tensors(config: &Config, stage: &str) -> BTreeMap<String, Vec<u8>> {
     let bytes = fs::read(checkpoint(config, stage)).unwrap();
     let file = SafeTensors::deserialize(&bytes).unwrap();
     let tensors = file.iter();
-    tensors
-        .map(|(name, tensor)| (name.to_owned(), tensor.data().to_vec()))
-        .collect()
+    tensors.map(|(name, tensor)| (name.to_owned(), tensor.data().to_vec())).collect()
 }
 
 #[test]
@@ -75,10 +71,7 @@ fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
     let folder = TestFolder::good(&skeleton(0.93));
     let out = tempfile::tempdir().unwrap();
     let config = config(folder.write(), out.path());
-    assert_eq!(
-        (config.data.frame, config.data.phases),
-        (MotionFrame::Dancer, 2)
-    );
+    assert_eq!((config.data.frame, config.data.phases), (MotionFrame::Dancer, 2));
     let report = run(&config);
     assert!(report.contains("music of 4/4 songs"), "{report}");
     assert!(report.contains("codes of 2/2 motions"), "{report}");
@@ -163,9 +156,5 @@ fn aist_dances_train_and_find_their_songs_in_a_folder_of_their_own() {
     assert!(set.test.is_none());
     config.data.audio = root;
     let refused = MotionSet::read(&config, Load::Music, &mut Vec::new()).unwrap_err();
-    assert!(
-        refused
-            .to_string()
-            .contains("no motion of the training split has music")
-    );
+    assert!(refused.to_string().contains("no motion of the training split has music"));
 }

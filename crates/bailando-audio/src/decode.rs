@@ -48,12 +48,7 @@ pub fn decode(
         if let Some(&hz) = rates.iter().find(|&&hz| hz == 0) {
             return Err(AudioError::OutputRate { hz });
         }
-        let request = DecodeRequest {
-            range,
-            rates,
-            limits,
-            deadline: &deadline,
-        };
+        let request = DecodeRequest { range, rates, limits, deadline: &deadline };
         let upload = sniff(&bytes)?;
         headers::check(&upload, &request)?;
         Pass::open(&upload, &request)?.run()
@@ -229,15 +224,8 @@ impl<'a> Pass<'a> {
             .state
             .chained
             .then(|| "only the first of several streams in the file is used".to_owned());
-        let short = if sink.is_done() {
-            None
-        } else {
-            self.cut_short(sink)
-        };
-        [sink.note(), lost, cut, impossible, chained, short]
-            .into_iter()
-            .flatten()
-            .collect()
+        let short = if sink.is_done() { None } else { self.cut_short(sink) };
+        [sink.note(), lost, cut, impossible, chained, short].into_iter().flatten().collect()
     }
 
     /// Returns a warning when the file holds less audio than it declares.
@@ -256,9 +244,9 @@ impl<'a> Pass<'a> {
             )),
             // A WAV written to a pipe declares no length and simply ends.
             None if self.upload.container == Container::Wav => None,
-            _ if self.demuxer.state.cut_off || self.demuxer.state.faults > 0 => Some(format!(
-                "the file is damaged or cut short after {held:.1} s of audio"
-            )),
+            _ if self.demuxer.state.cut_off || self.demuxer.state.faults > 0 => {
+                Some(format!("the file is damaged or cut short after {held:.1} s of audio"))
+            }
             _ => None,
         }
     }

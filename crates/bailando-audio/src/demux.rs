@@ -155,15 +155,15 @@ impl Demuxer {
     /// Returns a decoder for the track. Only Ogg's trimming is left to it; see [`crate::gapless`].
     pub(crate) fn decoder(&self) -> Result<Box<dyn AudioDecoder>, AudioError> {
         let options = AudioDecoderOptions::default().gapless(self.container == Container::Ogg);
-        get_codecs()
-            .make_audio_decoder(&self.track.parameters, &options)
-            .map_err(|error| match error {
+        get_codecs().make_audio_decoder(&self.track.parameters, &options).map_err(|error| {
+            match error {
                 SymphoniaError::Unsupported(what) => AudioError::UnsupportedCodec {
                     container: self.container,
                     codec: codec_words(&self.track.parameters, what),
                 },
                 other => refusal(self.container, &other),
-            })
+            }
+        })
     }
 
     /// Returns what is missing between the packet before `packet` and itself.
@@ -222,13 +222,10 @@ impl Demuxer {
                     // A packet of no bytes counts as one, so that tables of them end as well.
                     let bytes = packet.data.len().max(1);
                     self.allowance =
-                        self.allowance
-                            .checked_sub(bytes)
-                            .ok_or_else(|| AudioError::Malformed {
-                                container: self.container,
-                                reason: "its tables list more audio than the file has bytes"
-                                    .to_owned(),
-                            })?;
+                        self.allowance.checked_sub(bytes).ok_or_else(|| AudioError::Malformed {
+                            container: self.container,
+                            reason: "its tables list more audio than the file has bytes".to_owned(),
+                        })?;
                     if packet.track_id == self.track.id {
                         return Ok(Some(packet));
                     }
@@ -283,12 +280,10 @@ fn open_reader(upload: &Upload) -> Result<Box<dyn FormatReader>, SymphoniaError>
 
 fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackInfo, AudioError> {
     let track =
-        reader
-            .default_track(TrackType::Audio)
-            .ok_or_else(|| AudioError::UnsupportedCodec {
-                container,
-                codec: "no audio track that can be read".to_owned(),
-            })?;
+        reader.default_track(TrackType::Audio).ok_or_else(|| AudioError::UnsupportedCodec {
+            container,
+            codec: "no audio track that can be read".to_owned(),
+        })?;
     let Some(CodecParameters::Audio(parameters)) = &track.codec_params else {
         return Err(AudioError::Malformed {
             container,
@@ -331,22 +326,15 @@ fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
 fn refusal(container: Container, error: &SymphoniaError) -> AudioError {
     match error {
         SymphoniaError::IoError(error) if error.kind() == ErrorKind::UnexpectedEof => {
-            AudioError::Malformed {
-                container,
-                reason: "it ends inside its header".to_owned(),
-            }
+            AudioError::Malformed { container, reason: "it ends inside its header".to_owned() }
         }
-        SymphoniaError::Unsupported(what) if what.contains("missing") => AudioError::Malformed {
-            container,
-            reason: (*what).to_owned(),
-        },
+        SymphoniaError::Unsupported(what) if what.contains("missing") => {
+            AudioError::Malformed { container, reason: (*what).to_owned() }
+        }
         SymphoniaError::Unsupported(what) => AudioError::UnsupportedCodec {
             container,
             codec: format!("something unsupported ({what})"),
         },
-        other => AudioError::Malformed {
-            container,
-            reason: other.to_string(),
-        },
+        other => AudioError::Malformed { container, reason: other.to_string() },
     }
 }

@@ -39,8 +39,7 @@ impl Downmix {
         let mut planes = buffer.iter_planes();
         self.mono.clear();
         if let Some(first) = planes.next() {
-            self.mono
-                .extend(first.iter().map(|&sample| sample.into_sample()));
+            self.mono.extend(first.iter().map(|&sample| sample.into_sample()));
         }
         for plane in planes {
             for (sum, &sample) in self.mono.iter_mut().zip(plane) {
@@ -67,13 +66,7 @@ mod tests {
     #[test]
     fn mean_of_the_channels_and_silence_for_the_impossible() {
         let mut buffer = AudioBuffer::new(AudioSpec::new(8_000, layouts::CHANNEL_LAYOUT_STEREO), 5);
-        for frame in [
-            [0.5, -0.25],
-            [1.0, 1.0],
-            [f32::NAN, 0.0],
-            [f32::INFINITY, 0.0],
-            [1e9, 0.0],
-        ] {
+        for frame in [[0.5, -0.25], [1.0, 1.0], [f32::NAN, 0.0], [f32::INFINITY, 0.0], [1e9, 0.0]] {
             buffer.render(Some(1), &frame);
         }
         let mut downmix = Downmix::default();

@@ -79,10 +79,6 @@ impl Gaps {
         let cut = audio.is_some_and(|audio| {
             audio.starts_with(&packet.data) || self.declared.is_none_or(|all| frames > all)
         });
-        Some(if cut {
-            Gap::CutFrom(seconds)
-        } else {
-            Gap::Lost(seconds)
-        })
+        Some(if cut { Gap::CutFrom(seconds) } else { Gap::Lost(seconds) })
     }
 }

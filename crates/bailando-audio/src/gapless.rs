@@ -72,9 +72,7 @@ impl Trim {
             };
         };
         let frames = |seconds: f64| (seconds * f64::from(rate)).round() as u64;
-        let media_s = track
-            .frames
-            .map(|frames| frames as f64 / f64::from(declared.max(1)));
+        let media_s = track.frames.map(|frames| frames as f64 / f64::from(declared.max(1)));
         let length_s = match (audible.length_s, media_s) {
             (Some(length), Some(media)) => {
                 let to_the_end = media - audible.start_s;
@@ -83,11 +81,7 @@ impl Trim {
             }
             (length, _) => length,
         };
-        Self {
-            skip: frames(audible.start_s),
-            keep: length_s.map(frames),
-            ..Self::default()
-        }
+        Self { skip: frames(audible.start_s), keep: length_s.map(frames), ..Self::default() }
     }
 
     /// Returns a warning about the cut.
@@ -122,9 +116,7 @@ impl Trim {
 
     /// Passes on the frames held back, unless they are padding.
     pub(crate) fn finish(&mut self, sink: impl FnOnce(&[f32])) {
-        let is_padding = self
-            .padded_length
-            .is_none_or(|length| length == self.received);
+        let is_padding = self.padded_length.is_none_or(|length| length == self.received);
         if !is_padding {
             sink(&self.held);
         }
@@ -152,12 +144,8 @@ mod tests {
 
     #[test]
     fn padding_goes_only_when_the_length_is_the_declared_one() {
-        let trim = |length| Trim {
-            skip: 15,
-            padding: 7,
-            padded_length: Some(length),
-            ..Trim::default()
-        };
+        let trim =
+            |length| Trim { skip: 15, padding: 7, padded_length: Some(length), ..Trim::default() };
         let pieces = [0..10, 10..12, 12..40, 40..43];
         assert_eq!(run(trim(43), &pieces), counting(15..36));
         assert_eq!(run(trim(60), &pieces), counting(15..43), "cut short");
@@ -166,11 +154,7 @@ mod tests {
 
     #[test]
     fn a_known_length_is_kept_exactly() {
-        let trim = Trim {
-            skip: 3,
-            keep: Some(20),
-            ..Trim::default()
-        };
+        let trim = Trim { skip: 3, keep: Some(20), ..Trim::default() };
         assert_eq!(run(trim, &[0..2, 2..10, 10..90]), counting(3..23));
     }
 }

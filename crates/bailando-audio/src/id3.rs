@@ -10,9 +10,7 @@ pub(crate) fn v2_end(bytes: &[u8]) -> usize {
             break;
         }
         // The size has 7 bits a byte and counts neither the header nor the footer.
-        let size = header[6..]
-            .iter()
-            .fold(0_usize, |size, &byte| (size << 7) | usize::from(byte));
+        let size = header[6..].iter().fold(0_usize, |size, &byte| (size << 7) | usize::from(byte));
         let footer = if header[5] & 0x10 != 0 { HEADER } else { 0 };
         at += HEADER + size + footer;
     }

@@ -24,11 +24,7 @@ const STRONG_DECIMATION: f64 = 0.25;
 /// Returns half width (in samples of the lower rate) and Kaiser beta for a ratio `to / from`
 /// (FEATURES section 1).
 fn window_of(ratio: f64) -> (f64, f64) {
-    if ratio < STRONG_DECIMATION {
-        (116.5, 16.76)
-    } else {
-        (107.7, 15.35)
-    }
+    if ratio < STRONG_DECIMATION { (116.5, 16.76) } else { (107.7, 15.35) }
 }
 
 /// Returns the kernel of a reduced ratio. The last few are kept: planning takes as long as
@@ -92,12 +88,7 @@ impl Kernel {
                 })
             })
             .collect();
-        Self {
-            reach,
-            rows: coefficients,
-            phases: to,
-            interpolated,
-        }
+        Self { reach, rows: coefficients, phases: to, interpolated }
     }
 
     /// Inputs used on each side of an output.
@@ -145,12 +136,7 @@ impl Shape {
             let (cutoff, half, beta) = DROOPING;
             Lowpass::new(cutoff, half, beta)
         });
-        Self {
-            scale: ratio.min(1.0),
-            half,
-            steep: Lowpass::new(CUTOFF, half, beta),
-            drooping,
-        }
+        Self { scale: ratio.min(1.0), half, steep: Lowpass::new(CUTOFF, half, beta), drooping }
     }
 
     /// Returns the response times the gain, `distance` in input samples.
@@ -175,12 +161,7 @@ struct Lowpass {
 
 impl Lowpass {
     fn new(cutoff: f64, half: f64, beta: f64) -> Self {
-        Self {
-            cutoff,
-            half,
-            beta,
-            peak: bessel_i0(beta),
-        }
+        Self { cutoff, half, beta, peak: bessel_i0(beta) }
     }
 
     fn at(&self, u: f64) -> f64 {
@@ -194,9 +175,5 @@ impl Lowpass {
 }
 
 fn sinc(x: f64) -> f64 {
-    if x == 0.0 {
-        1.0
-    } else {
-        (PI * x).sin() / (PI * x)
-    }
+    if x == 0.0 { 1.0 } else { (PI * x).sin() / (PI * x) }
 }

@@ -51,10 +51,7 @@ impl AudioLimits {
             });
         }
         if channels == 0 || channels > self.max_channels {
-            return Err(AudioError::Channels {
-                count: channels,
-                max: self.max_channels,
-            });
+            return Err(AudioError::Channels { count: channels, max: self.max_channels });
         }
         Ok(())
     }
@@ -62,10 +59,7 @@ impl AudioLimits {
     /// Refuses `seconds` of audio from the start of the file.
     pub(crate) fn check_length(&self, seconds: f64) -> Result<(), AudioError> {
         if seconds > self.max_seconds {
-            return Err(AudioError::TooLong {
-                seconds,
-                max_seconds: self.max_seconds,
-            });
+            return Err(AudioError::TooLong { seconds, max_seconds: self.max_seconds });
         }
         Ok(())
     }
@@ -84,23 +78,18 @@ impl AudioRange {
     /// Returns the end of the part in seconds from the start of the file; infinite without a
     /// duration.
     pub(crate) fn end_s(&self) -> f64 {
-        self.duration_s
-            .map_or(f64::INFINITY, |duration| self.offset_s + duration)
+        self.duration_s.map_or(f64::INFINITY, |duration| self.offset_s + duration)
     }
 
     /// Refuses an impossible part.
     pub(crate) fn check(&self) -> Result<(), AudioError> {
         let offset_fits = self.offset_s.is_finite() && self.offset_s >= 0.0;
-        let duration_fits = self
-            .duration_s
-            .is_none_or(|duration| duration.is_finite() && duration > 0.0);
+        let duration_fits =
+            self.duration_s.is_none_or(|duration| duration.is_finite() && duration > 0.0);
         if offset_fits && duration_fits {
             return Ok(());
         }
-        Err(AudioError::InvalidRange {
-            offset_s: self.offset_s,
-            duration_s: self.duration_s,
-        })
+        Err(AudioError::InvalidRange { offset_s: self.offset_s, duration_s: self.duration_s })
     }
 }
 
@@ -115,11 +104,7 @@ pub(crate) struct Deadline<'a> {
 impl<'a> Deadline<'a> {
     /// Starts the clock.
     pub(crate) fn start(limit: Duration, cancel: &'a CancelToken) -> Self {
-        Self {
-            cancel,
-            started: Instant::now(),
-            limit,
-        }
+        Self { cancel, started: Instant::now(), limit }
     }
 
     /// Fails once the caller has given up or the time is over. Called for every packet.

@@ -39,9 +39,7 @@ fn children(mut bytes: &[u8]) -> impl Iterator<Item = ([u8; 4], &[u8])> {
 }
 
 fn child<'bytes>(bytes: &'bytes [u8], wanted: &[u8; 4]) -> Option<&'bytes [u8]> {
-    children(bytes)
-        .find(|(kind, _)| kind == wanted)
-        .map(|(_, payload)| payload)
+    children(bytes).find(|(kind, _)| kind == wanted).map(|(_, payload)| payload)
 }
 
 /// ` 00000000 <delay> <padding> <frames> ..` in hexadecimal, written by iTunes and Core Audio.
@@ -79,18 +77,16 @@ fn edit_list(movie: &[u8], track_id: u32) -> Option<Audible> {
     let list = child(child(track, b"edts")?, b"elst")?;
     let long = *list.first()? == 1;
     let entries = list.get(8..)?.chunks_exact(if long { 20 } else { 12 });
-    let mut shown = entries
-        .take(MAX_CHILDREN.min(u32_be(list, 4)? as usize))
-        .filter_map(|entry| {
-            let (duration, start) = if long {
-                (u64_be(entry, 0)?, u64_be(entry, 8)?.cast_signed())
-            } else {
-                let start = u32_be(entry, 4)?.cast_signed();
-                (u64::from(u32_be(entry, 0)?), i64::from(start))
-            };
-            // A start of -1 is an empty edit: it shows nothing for a while.
-            u64::try_from(start).ok().map(|start| (duration, start))
-        });
+    let mut shown = entries.take(MAX_CHILDREN.min(u32_be(list, 4)? as usize)).filter_map(|entry| {
+        let (duration, start) = if long {
+            (u64_be(entry, 0)?, u64_be(entry, 8)?.cast_signed())
+        } else {
+            let start = u32_be(entry, 4)?.cast_signed();
+            (u64::from(u32_be(entry, 0)?), i64::from(start))
+        };
+        // A start of -1 is an empty edit: it shows nothing for a while.
+        u64::try_from(start).ok().map(|start| (duration, start))
+    });
     let (duration, start) = shown.next()?;
     // A duration of 0 is what fragmented files write for "to the end".
     let whole = duration > 0 && shown.next().is_none();
@@ -130,10 +126,7 @@ mod tests {
     }
 
     fn words(values: &[u32]) -> Vec<u8> {
-        values
-            .iter()
-            .flat_map(|value| value.to_be_bytes())
-            .collect()
+        values.iter().flat_map(|value| value.to_be_bytes()).collect()
     }
 
     /// A movie of 1000 ticks a second with one track (id 1, 44.1 kHz) with these edits.
@@ -151,11 +144,7 @@ mod tests {
             ],
         );
         let mvhd = atom(b"mvhd", &[&words(&[0, 0, 0, 1_000, 0])]);
-        [
-            atom(b"ftyp", &[b"M4A "]),
-            atom(b"moov", &[&mvhd, &track, tags]),
-        ]
-        .concat()
+        [atom(b"ftyp", &[b"M4A "]), atom(b"moov", &[&mvhd, &track, tags])].concat()
     }
 
     #[test]
@@ -170,10 +159,7 @@ mod tests {
     #[test]
     fn empty_and_several_edits_give_the_start_alone() {
         let empty = [500, u32::MAX, 0x1_0000];
-        let file = movie(
-            &[empty, [1_000, 2_048, 0x1_0000], [1_000, 99_000, 0x1_0000]],
-            &[],
-        );
+        let file = movie(&[empty, [1_000, 2_048, 0x1_0000], [1_000, 99_000, 0x1_0000]], &[]);
         let found = audible(&file, 1, 44_100).unwrap();
         assert_eq!((found.start_s, found.length_s), (2_048.0 / 44_100.0, None));
     }

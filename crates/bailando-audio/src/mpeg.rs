@@ -2,9 +2,7 @@
 
 /// Returns the length in bytes of the layer III frame whose header `bytes` start with.
 fn frame_length(bytes: &[u8]) -> Option<usize> {
-    const KBITS_V1: [usize; 14] = [
-        32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 192, 224, 256, 320,
-    ];
+    const KBITS_V1: [usize; 14] = [32, 40, 48, 56, 64, 80, 96, 112, 128, 160, 192, 224, 256, 320];
     const KBITS_V2: [usize; 14] = [8, 16, 24, 32, 40, 48, 56, 64, 80, 96, 112, 128, 144, 160];
     let &[sync, version, rates, _] = bytes.first_chunk()?;
     if sync != 0xff || version & 0xe0 != 0xe0 || (version >> 1) & 3 != 1 {

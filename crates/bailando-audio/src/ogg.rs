@@ -23,10 +23,7 @@ pub(crate) fn check_codec(bytes: &[u8]) -> Result<(), AudioError> {
         }
         _ => "an unknown codec",
     };
-    Err(AudioError::UnsupportedCodec {
-        container: Container::Ogg,
-        codec: codec.to_owned(),
-    })
+    Err(AudioError::UnsupportedCodec { container: Container::Ogg, codec: codec.to_owned() })
 }
 
 /// Returns whether the file ends with a whole page that is marked as the last one: nothing else in

@@ -86,11 +86,7 @@ impl Outputs {
     pub(crate) fn finish(mut self) -> Vec<Vec<f32>> {
         self.send_block(Vec::new());
         // All channels are closed before the first thread is joined.
-        let threads: Vec<_> = self
-            .workers
-            .into_iter()
-            .map(|worker| worker.thread)
-            .collect();
+        let threads: Vec<_> = self.workers.into_iter().map(|worker| worker.thread).collect();
         let signals = threads.into_iter().map(JoinHandle::join);
         signals
             .map(|signal| signal.unwrap_or_else(|panicked| panic::resume_unwind(panicked)))
@@ -105,9 +101,7 @@ mod tests {
 
     #[test]
     fn every_rate_is_what_resampling_the_whole_gives() {
-        let signal: Vec<f32> = (0..3 * BLOCK + 1_234)
-            .map(|i| (i as f32 * 0.01).sin())
-            .collect();
+        let signal: Vec<f32> = (0..3 * BLOCK + 1_234).map(|i| (i as f32 * 0.01).sin()).collect();
         for piece in [1_152, BLOCK, 5 * BLOCK] {
             let mut outputs = Outputs::new(44_100, &[3_840, 44_100, 30_720]).unwrap();
             signal.chunks(piece).for_each(|part| outputs.push(part));

@@ -80,9 +80,8 @@ impl Resampler {
         let Some(kernel) = &self.kernel else { return };
         while self.produced < limit {
             let first = usize::try_from(self.index + 1 - signed(kernel.reach()) - self.base);
-            let window = first
-                .ok()
-                .and_then(|first| self.history.get(first..first + kernel.taps()));
+            let window =
+                first.ok().and_then(|first| self.history.get(first..first + kernel.taps()));
             let Some(window) = window else { break };
             output.push(kernel.apply(self.phase, window));
             self.produced += 1;
@@ -133,9 +132,7 @@ mod tests {
     }
 
     fn sine(n: usize, hz: f64, rate: u32) -> Vec<f32> {
-        (0..n)
-            .map(|i| (2.0 * PI * hz * i as f64 / f64::from(rate)).sin() as f32)
-            .collect()
+        (0..n).map(|i| (2.0 * PI * hz * i as f64 / f64::from(rate)).sin() as f32).collect()
     }
 
     /// FEATURES section 1, evaluated in f64 without tables.
@@ -143,11 +140,7 @@ mod tests {
         let ratio = f64::from(to) / f64::from(from);
         let shape = Shape::new(ratio);
         let position = m as f64 / ratio;
-        signal
-            .iter()
-            .enumerate()
-            .map(|(i, &x)| f64::from(x) * shape.at(i as f64 - position))
-            .sum()
+        signal.iter().enumerate().map(|(i, &x)| f64::from(x) * shape.at(i as f64 - position)).sum()
     }
 
     #[test]
@@ -168,10 +161,7 @@ mod tests {
             let got = resample(&signal, from, to);
             let expected = (6_001_u64 * u64::from(to)).div_ceil(from.into());
             assert_eq!(got.len() as u64, expected, "{from} to {to}");
-            for m in (0..got.len())
-                .step_by(1 + got.len() / 40)
-                .chain([got.len() - 1])
-            {
+            for m in (0..got.len()).step_by(1 + got.len() / 40).chain([got.len() - 1]) {
                 let wanted = by_definition(&signal, from, to, m);
                 let error = (f64::from(got[m]) - wanted).abs();
                 assert!(error < tolerance, "{from} to {to}, {m}: {error:e}");
@@ -217,10 +207,7 @@ mod tests {
             let nyquist = f64::from(to) / 2.0;
             for part in [0.1, 0.5, 0.9, 0.913] {
                 let level = level(part * nyquist, from, to);
-                assert!(
-                    (level - 1.0).abs() < 1e-3,
-                    "{from} to {to}, {part}: {level}"
-                );
+                assert!((level - 1.0).abs() < 1e-3, "{from} to {to}, {part}: {level}");
             }
             // f32 arithmetic leaves a floor near -130 dB.
             let level = level(1.001 * nyquist, from, to);
@@ -233,19 +220,10 @@ mod tests {
 
     #[test]
     fn memory_stays_small_for_odd_ratios() {
-        for (from, to) in [
-            (44_101, 3_840),
-            (191_999, 3_840),
-            (8_001, 30_720),
-            (48_000, 3_840),
-        ] {
+        for (from, to) in [(44_101, 3_840), (191_999, 3_840), (8_001, 30_720), (48_000, 3_840)] {
             let divisor = gcd(from, to);
             let kernel = Kernel::new(from / divisor, to / divisor);
-            assert!(
-                kernel.coefficients() <= MAX_TABLE,
-                "{}",
-                kernel.coefficients()
-            );
+            assert!(kernel.coefficients() <= MAX_TABLE, "{}", kernel.coefficients());
         }
     }
 }

@@ -74,10 +74,7 @@ impl<'a> Sink<'a> {
         let frames = |seconds: f64| (seconds * f64::from(rate)).round() as u64;
         let window = Window {
             first: frames(request.range.offset_s),
-            end: request
-                .range
-                .duration_s
-                .map(|_| frames(request.range.end_s())),
+            end: request.range.duration_s.map(|_| frames(request.range.end_s())),
             position: 0,
         };
         Ok(Self {
@@ -93,9 +90,7 @@ impl<'a> Sink<'a> {
 
     /// Returns whether the end of the wanted part has been reached.
     pub(crate) fn is_done(&self) -> bool {
-        self.window
-            .end
-            .is_some_and(|end| self.window.position >= end)
+        self.window.end.is_some_and(|end| self.window.position >= end)
     }
 
     /// Returns the seconds received, with the encoder's lead-in and padding.
@@ -106,13 +101,9 @@ impl<'a> Sink<'a> {
     /// Takes the next frames.
     pub(crate) fn push(&mut self, mono: &[f32]) -> Result<(), AudioError> {
         self.received += mono.len() as u64;
-        self.request
-            .limits
-            .check_length(self.received_s() - SLACK_S)?;
+        self.request.limits.check_length(self.received_s() - SLACK_S)?;
         let (window, outputs) = (&mut self.window, &mut self.outputs);
-        self.trim.pass(mono, |audible| {
-            outputs.push(&audible[window.advance(audible.len())])
-        });
+        self.trim.pass(mono, |audible| outputs.push(&audible[window.advance(audible.len())]));
         self.check_length()
     }
 
@@ -133,8 +124,7 @@ impl<'a> Sink<'a> {
     /// Takes what the trim held back, which is audible after all or padding.
     pub(crate) fn end(&mut self) -> Result<(), AudioError> {
         let (window, outputs) = (&mut self.window, &mut self.outputs);
-        self.trim
-            .finish(|audible| outputs.push(&audible[window.advance(audible.len())]));
+        self.trim.finish(|audible| outputs.push(&audible[window.advance(audible.len())]));
         self.check_length()
     }
 
@@ -198,10 +188,7 @@ mod tests {
         assert!(sink.push_silence(2.0).is_ok());
         assert_eq!(sink.received, 16_000);
         cancel.cancel();
-        assert!(matches!(
-            sink.push_silence(60.0),
-            Err(AudioError::Cancelled)
-        ));
+        assert!(matches!(sink.push_silence(60.0), Err(AudioError::Cancelled)));
         assert_eq!(sink.received, 16_000);
     }
 }

@@ -64,10 +64,7 @@ pub(crate) fn sniff(bytes: &Bytes) -> Result<Upload, AudioError> {
         let found = describe_unknown(&body, tagged);
         return Err(AudioError::UnsupportedContainer { found });
     };
-    Ok(Upload {
-        container,
-        bytes: body,
-    })
+    Ok(Upload { container, bytes: body })
 }
 
 /// Names files that are recognised and refused.
@@ -103,10 +100,7 @@ fn known_but_refused(bytes: &[u8]) -> Option<&'static str> {
         (b"\x7fELF", "a program"),
         (b"\x93NUMPY", "a NumPy array"),
     ];
-    MAGIC
-        .iter()
-        .find(|(magic, _)| bytes.starts_with(magic))
-        .map(|&(_, found)| found)
+    MAGIC.iter().find(|(magic, _)| bytes.starts_with(magic)).map(|&(_, found)| found)
 }
 
 /// Describes bytes that no rule knows.
@@ -116,11 +110,10 @@ fn describe_unknown(bytes: &[u8], tagged: bool) -> &'static str {
     let sync = head.len() > 1 && head[0] == 0xff;
     if tagged {
         "an ID3 tag without MP3 audio after it"
-    } else if head.get(4..8).is_some_and(|kind| {
-        [b"moov", b"mdat", b"wide", b"free"]
-            .iter()
-            .any(|known| kind == *known)
-    }) {
+    } else if head
+        .get(4..8)
+        .is_some_and(|kind| [b"moov", b"mdat", b"wide", b"free"].iter().any(|known| kind == *known))
+    {
         "an old QuickTime file without a file type"
     } else if sync && head[1] & 0xf6 == 0xf0 {
         "a raw AAC stream (ADTS)"
@@ -130,10 +123,7 @@ fn describe_unknown(bytes: &[u8], tagged: bool) -> &'static str {
         "an HTML, XML or SVG document"
     } else if head.starts_with(b"{") || head.starts_with(b"[") {
         "a JSON document"
-    } else if head
-        .iter()
-        .all(|&byte| byte >= b' ' || matches!(byte, b'\n' | b'\r' | b'\t'))
-    {
+    } else if head.iter().all(|&byte| byte >= b' ' || matches!(byte, b'\n' | b'\r' | b'\t')) {
         "text"
     } else {
         "an unknown kind of file"
@@ -197,10 +187,7 @@ mod tests {
             page.extend(packet);
             Bytes::from(page)
         };
-        assert_eq!(
-            sniff(&page(b"\x01vorbis....")).unwrap().container,
-            Container::Ogg
-        );
+        assert_eq!(sniff(&page(b"\x01vorbis....")).unwrap().container, Container::Ogg);
         let opus = sniff(&page(b"OpusHead....")).unwrap_err();
         assert!(matches!(
             &opus,

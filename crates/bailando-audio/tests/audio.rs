@@ -53,11 +53,7 @@ fn tone(n: usize, rate: u32) -> Vec<i16> {
 
 fn npy(bytes: &[u8]) -> Vec<f32> {
     let header = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
-    assert!(
-        bytes[10..10 + header]
-            .windows(5)
-            .any(|part| part == b"'<f4'")
-    );
+    assert!(bytes[10..10 + header].windows(5).any(|part| part == b"'<f4'"));
     bytes[10 + header..]
         .chunks_exact(4)
         .map(|four| f32::from_le_bytes(four.try_into().unwrap()))
@@ -88,29 +84,17 @@ mod formats {
         assert_eq!(flac.signals[0].len(), 30 * LOW as usize);
         assert_eq!(flac.signals[1].len(), 30 * HIGH as usize);
         assert_eq!(flac.warnings, Vec::<String>::new());
-        for (name, rate, channels) in [
-            ("demo.ogg", 32_000, 1),
-            ("demo.mp3", 44_100, 2),
-            ("demo.m4a", 44_100, 2),
-        ] {
+        for (name, rate, channels) in
+            [("demo.ogg", 32_000, 1), ("demo.mp3", 44_100, 2), ("demo.m4a", 44_100, 2)]
+        {
             let song = decode(fixture(name), &[LOW, HIGH]).unwrap();
             println!("{name}: {} s, {:?}", song.duration_s, song.warnings);
-            assert_eq!(
-                (song.sample_rate, song.channels),
-                (rate, channels),
-                "{name}"
-            );
+            assert_eq!((song.sample_rate, song.channels), (rate, channels), "{name}");
             assert_eq!(song.warnings, Vec::<String>::new(), "{name}");
-            assert!(
-                (song.duration_s - 30.0).abs() * f64::from(rate) < 1.5,
-                "{name}"
-            );
+            assert!((song.duration_s - 30.0).abs() * f64::from(rate) < 1.5, "{name}");
             let lag = lag(&song.signals[1], &flac.signals[1]);
             println!("{name}: lag {lag} samples at {HIGH} Hz");
-            assert!(
-                lag.abs() <= 31,
-                "{name} is {lag} samples of 1/{HIGH} s late"
-            );
+            assert!(lag.abs() <= 31, "{name} is {lag} samples of 1/{HIGH} s late");
         }
     }
 
@@ -131,10 +115,8 @@ mod formats {
 #[test]
 fn a_wav_is_the_same_signal_as_the_flac_it_was_made_from() {
     let flac = decode(fixture("demo.flac"), &[32_000]).unwrap();
-    let samples: Vec<i16> = flac.signals[0]
-        .iter()
-        .map(|&sample| (sample * 32_768.0) as i16)
-        .collect();
+    let samples: Vec<i16> =
+        flac.signals[0].iter().map(|&sample| (sample * 32_768.0) as i16).collect();
     let stereo: Vec<i16> = samples.iter().flat_map(|&s| [s, s]).collect();
     for (channels, samples) in [(1, &samples), (2, &stereo)] {
         let wav = decode(wav16(channels, 32_000, samples), &[32_000, LOW]).unwrap();
@@ -205,18 +187,12 @@ mod ranges {
     fn a_part_is_the_same_samples_and_stops_early() {
         let samples = tone(4 * 8_000, 8_000);
         let whole = decode(wav16(1, 8_000, &samples), &[8_000]).unwrap();
-        let range = AudioRange {
-            offset_s: 1.25,
-            duration_s: Some(1.5),
-        };
+        let range = AudioRange { offset_s: 1.25, duration_s: Some(1.5) };
         let part = decode_part(wav16(1, 8_000, &samples), range, &[8_000, LOW]).unwrap();
         assert_eq!(part.duration_s, 1.5);
         assert_eq!(part.signals[0], whole.signals[0][10_000..22_000]);
         assert_eq!(part.signals[1].len(), 5_760);
-        let rest = AudioRange {
-            offset_s: 3.0,
-            duration_s: Some(100.0),
-        };
+        let rest = AudioRange { offset_s: 3.0, duration_s: Some(100.0) };
         let rest = decode_part(wav16(1, 8_000, &samples), rest, &[8_000]).unwrap();
         assert_eq!(rest.signals[0], whole.signals[0][24_000..]);
         assert_eq!(rest.duration_s, 1.0);
@@ -230,10 +206,7 @@ mod ranges {
             frames: 36_000 * 44_100,
             declared: 36_000 * 44_100,
         };
-        let range = AudioRange {
-            offset_s: 2.0,
-            duration_s: Some(3.0),
-        };
+        let range = AudioRange { offset_s: 2.0, duration_s: Some(3.0) };
         let song = decode_part(long.bytes(), range, &[LOW]).unwrap();
         assert_eq!((song.duration_s, song.signals[0].len()), (3.0, 3 * 3_840));
     }
@@ -242,10 +215,7 @@ mod ranges {
     fn outside_and_impossible_parts_are_refused() {
         let song = Bytes::from(wav16(1, 8_000, &tone(16_000, 8_000)));
         let ask = |offset_s, duration_s| {
-            let range = AudioRange {
-                offset_s,
-                duration_s,
-            };
+            let range = AudioRange { offset_s, duration_s };
             decode_part(song.clone(), range, &[LOW]).unwrap_err()
         };
         for offset in [2.0, 2.5, 1e18] {
@@ -262,10 +232,7 @@ mod ranges {
             (0.0, Some(-2.0)),
             (0.0, Some(f64::NAN)),
         ] {
-            assert!(matches!(
-                ask(offset, duration),
-                AudioError::InvalidRange { .. }
-            ));
+            assert!(matches!(ask(offset, duration), AudioError::InvalidRange { .. }));
         }
         assert!(matches!(ask(1.9, None), AudioError::TooShort { .. }));
         assert!(matches!(ask(0.0, Some(0.2)), AudioError::TooShort { .. }));

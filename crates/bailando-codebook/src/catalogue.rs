@@ -123,17 +123,12 @@ impl Catalogue {
 fn neutral(poses: &StillPoses, half: Half) -> usize {
     let total = |code| -> f32 { poses.distances_from_front(half, code).iter().sum() };
     let totals = (0..poses.codes(half)).map(|code| (code, total(code)));
-    totals
-        .min_by(|a, b| a.1.total_cmp(&b.1))
-        .map_or(0, |(code, _)| code)
+    totals.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(code, _)| code)
 }
 
 fn nearest(poses: &StillPoses, half: Half, code: usize) -> Option<Nearest> {
     let distances = poses.distances(half, code).into_iter().enumerate();
     let others = distances.filter(|&(other, _)| other != code);
     let (code, distance_m) = others.min_by(|a, b| a.1.total_cmp(&b.1))?;
-    Some(Nearest {
-        code: code as u32,
-        distance_m,
-    })
+    Some(Nearest { code: code as u32, distance_m })
 }

@@ -59,9 +59,8 @@ impl Figure {
         let joints = 0..skeleton.joints.len();
         // The child that continues the stroke of a joint.
         let next = |joint: usize| {
-            let mut children = joints
-                .clone()
-                .filter(|&child| skeleton.parent(child) == Some(joint));
+            let mut children =
+                joints.clone().filter(|&child| skeleton.parent(child) == Some(joint));
             children.find(|&child| joint != 0 && look(child) == look(joint))
         };
         let limbs = joints.clone().filter_map(|first| {
@@ -71,11 +70,7 @@ impl Figure {
             }
             let rest = std::iter::successors(Some(first), |&joint| next(joint));
             let (half, colour) = look(first);
-            Some(Limb {
-                joints: std::iter::once(parent).chain(rest).collect(),
-                half,
-                colour,
-            })
+            Some(Limb { joints: std::iter::once(parent).chain(rest).collect(), half, colour })
         });
         let head = skeleton.joints.iter().position(|name| name == "head");
         Self {

@@ -59,9 +59,7 @@ mod tests {
     fn turn(pose: &Pose, [upper, lower]: [f32; 2]) -> Pose {
         let angle = |joint| if joint >= 12 { upper } else { lower };
         let joints = pose.iter().enumerate();
-        joints
-            .map(|(joint, &place)| turned(place, angle(joint)))
-            .collect()
+        joints.map(|(joint, &place)| turned(place, angle(joint))).collect()
     }
 
     fn assert_close(found: &Pose, expected: &Pose) {

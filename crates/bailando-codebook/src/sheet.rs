@@ -105,22 +105,15 @@ impl Catalogue {
     /// [`CodebookError::Draw`].
     pub fn transitions_sheet(&self) -> Result<String, CodebookError> {
         let rows = self.transitions.len() as u32;
-        let title = format!(
-            "Pairs of codes of {}, and how one becomes the next",
-            self.model
-        );
+        let title = format!("Pairs of codes of {}, and how one becomes the next", self.model);
         let note = "upper / lower code; two poses a code";
         let width = LABEL_WIDTH as u32 + POSES as u32 * FRAME_WIDTH as u32;
-        drawn(
-            (width, TITLE_HEIGHT + rows * CELL.1),
-            [&title, note],
-            |area| {
-                let figure = self.figure();
-                let strips = area.split_evenly((rows.max(1) as usize, 1));
-                let mut pairs = self.transitions.iter().zip(&strips);
-                pairs.try_for_each(|(transition, strip)| draw_strip(&figure, strip, transition))
-            },
-        )
+        drawn((width, TITLE_HEIGHT + rows * CELL.1), [&title, note], |area| {
+            let figure = self.figure();
+            let strips = area.split_evenly((rows.max(1) as usize, 1));
+            let mut pairs = self.transitions.iter().zip(&strips);
+            pairs.try_for_each(|(transition, strip)| draw_strip(&figure, strip, transition))
+        })
     }
 
     fn figure(&self) -> Figure {
@@ -202,6 +195,5 @@ fn write(
 ) -> Result<(), CodebookError> {
     let font = ("sans-serif", size).into_font().color(&colour);
     let style: TextStyle<'_> = font.pos(Pos::new(side, VPos::Top));
-    area.draw_text(text, &style, place)
-        .map_err(CodebookError::draw)
+    area.draw_text(text, &style, place).map_err(CodebookError::draw)
 }

@@ -34,12 +34,7 @@ pub struct Transition {
 
 impl Transition {
     fn new(from: Pair, to: Pair, uses: Option<u64>) -> Self {
-        Self {
-            from,
-            to,
-            uses,
-            poses: Vec::new(),
-        }
+        Self { from, to, uses, poses: Vec::new() }
     }
 }
 
@@ -48,9 +43,7 @@ impl Transition {
 pub(crate) fn chosen(manifest: &Manifest, uses: Option<&Uses>, most: usize) -> Vec<Transition> {
     if let Some(uses) = uses {
         let changes = uses.changes(most).into_iter();
-        return changes
-            .map(|([from, to], uses)| Transition::new(from, to, Some(uses)))
-            .collect();
+        return changes.map(|([from, to], uses)| Transition::new(from, to, Some(uses))).collect();
     }
     let pairs = match manifest.start_codes.as_slice() {
         [] | [_] => evenly(manifest, most),

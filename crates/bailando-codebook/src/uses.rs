@@ -87,26 +87,18 @@ mod tests {
     }
 
     fn codes(upper: &[u32], lower: &[u32]) -> Codes {
-        Codes {
-            upper: upper.to_vec(),
-            lower: lower.to_vec(),
-        }
+        Codes { upper: upper.to_vec(), lower: lower.to_vec() }
     }
 
     #[test]
     fn codes_and_changes_are_counted_over_motions() {
         let mut uses = uses();
-        uses.add(&codes(&[3, 3, 0, 3, 0], &[1, 1, 2, 1, 2]))
-            .unwrap();
+        uses.add(&codes(&[3, 3, 0, 3, 0], &[1, 1, 2, 1, 2])).unwrap();
         uses.add(&codes(&[1, 0], &[1, 2])).unwrap();
         assert_eq!(uses.of(Half::Upper), [3, 1, 0, 3]);
         assert_eq!(uses.of(Half::Lower), [0, 4, 3]);
         // A held pose is no change, nor is the end of one motion and the start of the next.
-        let expected = [
-            ([[3, 1], [0, 2]], 2),
-            ([[0, 2], [3, 1]], 1),
-            ([[1, 1], [0, 2]], 1),
-        ];
+        let expected = [([[3, 1], [0, 2]], 2), ([[0, 2], [3, 1]], 1), ([[1, 1], [0, 2]], 1)];
         assert_eq!(uses.changes(9), expected);
         assert_eq!(uses.changes(1), expected[..1]);
     }

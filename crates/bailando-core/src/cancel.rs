@@ -26,10 +26,7 @@ impl CancelToken {
     /// the result was dropped. `gone` is called often and must return at once.
     #[must_use]
     pub fn when(gone: impl Fn() -> bool + Send + Sync + 'static) -> Self {
-        Self {
-            gone: Some(Arc::new(gone)),
-            ..Self::default()
-        }
+        Self { gone: Some(Arc::new(gone)), ..Self::default() }
     }
 
     /// Asks all holders to stop.
@@ -46,9 +43,7 @@ impl CancelToken {
 
 impl fmt::Debug for CancelToken {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("CancelToken")
-            .field("cancelled", &self.is_cancelled())
-            .finish()
+        f.debug_struct("CancelToken").field("cancelled", &self.is_cancelled()).finish()
     }
 }
 

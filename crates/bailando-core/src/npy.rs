@@ -60,14 +60,7 @@ mod tests {
         let length = (header.len() as u32).to_le_bytes();
         let length = if version == 1 { &length[..2] } else { &length };
         let version = [version, 0];
-        [
-            &b"\x93NUMPY"[..],
-            &version,
-            length,
-            header.as_bytes(),
-            values,
-        ]
-        .concat()
+        [&b"\x93NUMPY"[..], &version, length, header.as_bytes(), values].concat()
     }
 
     fn declaring(shape: &str) -> String {

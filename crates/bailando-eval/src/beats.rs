@@ -125,10 +125,7 @@ mod tests {
         let draws = (0..50).map(|_| chance(3_001, &beats, &beats, &mut draw));
         let mean = draws.sum::<f64>() / 50.0;
         let distances = [0, 1, 2, 3, 4, 5, 4, 3, 2, 1].into_iter();
-        let expected = distances
-            .map(|d| (-f64::from(d * d) / 18.0).exp())
-            .sum::<f64>()
-            / 10.0;
+        let expected = distances.map(|d| (-f64::from(d * d) / 18.0).exp()).sum::<f64>() / 10.0;
         assert!((mean - expected).abs() < 0.02, "{mean} {expected}");
         let again = || chance(3_001, &beats, &beats, &mut random(3));
         close(again(), again());

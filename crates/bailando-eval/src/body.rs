@@ -57,15 +57,9 @@ impl Motion {
     /// [`EvaluationError::Motion`] if the shape differs, there are fewer than 4 frames, or a number
     /// is not finite.
     pub fn new(name: &str, positions: ArrayView3<'_, f32>) -> Result<Self, EvaluationError> {
-        let poses = poses(positions).map_err(|problem| EvaluationError::Motion {
-            name: name.to_owned(),
-            problem,
-        })?;
-        Ok(Self {
-            name: name.to_owned(),
-            poses,
-            codes: None,
-        })
+        let poses = poses(positions)
+            .map_err(|problem| EvaluationError::Motion { name: name.to_owned(), problem })?;
+        Ok(Self { name: name.to_owned(), poses, codes: None })
     }
 
     /// Adds the pose codes (upper, lower) that the motion was decoded from.
@@ -98,14 +92,10 @@ fn poses(positions: ArrayView3<'_, f32>) -> Result<Vec<Pose>, String> {
     let (frames, joints, axes) = positions.dim();
     if (joints, axes) != (JOINTS, 3) {
         let shape = positions.shape();
-        return Err(format!(
-            "expected the shape [frames, {JOINTS}, 3], got {shape:?}"
-        ));
+        return Err(format!("expected the shape [frames, {JOINTS}, 3], got {shape:?}"));
     }
     if frames < SHORTEST_MOTION {
-        return Err(format!(
-            "it has {frames} frames: at least {SHORTEST_MOTION} are needed"
-        ));
+        return Err(format!("it has {frames} frames: at least {SHORTEST_MOTION} are needed"));
     }
     let mut cells = positions.indexed_iter();
     if let Some(((frame, joint, _), _)) = cells.find(|(_, value)| !value.is_finite()) {
@@ -123,9 +113,7 @@ pub(crate) fn check_rate(frames_per_second: f64) -> Result<(), String> {
     if (frames_per_second - FRAMES_PER_SECOND).abs() < 0.01 {
         return Ok(());
     }
-    Err(format!(
-        "it has {frames_per_second} frames a second: the metrics are defined for 60"
-    ))
+    Err(format!("it has {frames_per_second} frames a second: the metrics are defined for 60"))
 }
 
 #[cfg(test)]
@@ -145,10 +133,7 @@ mod tests {
         ] {
             let error = Motion::new("waltz", positions.view()).unwrap_err();
             let message = error.to_string();
-            assert!(
-                message.contains("waltz") && message.contains(words),
-                "{message}"
-            );
+            assert!(message.contains("waltz") && message.contains(words), "{message}");
         }
     }
 }

@@ -40,9 +40,9 @@ impl Clips {
                     "a window of {frames} frames is too short: 3 at least"
                 )))
             }
-            Self::Windows { stride: 0, .. } => Err(EvaluationError::Option(
-                "windows need a stride of at least 1 frame".into(),
-            )),
+            Self::Windows { stride: 0, .. } => {
+                Err(EvaluationError::Option("windows need a stride of at least 1 frame".into()))
+            }
             _ => Ok(()),
         }
     }
@@ -62,18 +62,13 @@ impl Clips {
             Self::First(frames) => (frames.min(poses.len()), poses.len()),
             Self::Windows { length, stride } => (length, stride),
         };
-        poses
-            .windows(length.max(1))
-            .step_by(stride.max(1))
-            .map(to_first_root)
+        poses.windows(length.max(1)).step_by(stride.max(1)).map(to_first_root)
     }
 }
 
 fn to_first_root(clip: &[Pose]) -> Vec<Pose> {
     let origin = clip.first().map_or(DVec3::ZERO, |pose| pose[ROOT]);
-    clip.iter()
-        .map(|pose| pose.map(|place| place - origin))
-        .collect()
+    clip.iter().map(|pose| pose.map(|place| place - origin)).collect()
 }
 
 #[cfg(test)]

@@ -63,11 +63,7 @@ pub fn frechet_distance(one: ArrayView2<'_, f64>, other: ArrayView2<'_, f64>) ->
     let root = square_root(&covariance_one);
     let product = &root * &covariance_other * &root;
     let product = (&product + product.transpose()) * 0.5;
-    let shared: f64 = product
-        .symmetric_eigenvalues()
-        .iter()
-        .map(|v| v.max(0.0).sqrt())
-        .sum();
+    let shared: f64 = product.symmetric_eigenvalues().iter().map(|v| v.max(0.0).sqrt()).sum();
     let apart = (&mean_one - &mean_other).mapv(|v| v * v).sum();
     apart + covariance_one.trace() + covariance_other.trace() - 2.0 * shared
 }
@@ -84,10 +80,7 @@ fn moments(rows: ArrayView2<'_, f64>) -> (Array1<f64>, DMatrix<f64>) {
 
 /// Root of a symmetric matrix without negative eigenvalues; rounding below zero counts as zero.
 fn square_root(matrix: &DMatrix<f64>) -> DMatrix<f64> {
-    let SymmetricEigen {
-        eigenvectors,
-        eigenvalues,
-    } = SymmetricEigen::new(matrix.clone());
+    let SymmetricEigen { eigenvectors, eigenvalues } = SymmetricEigen::new(matrix.clone());
     let roots = eigenvalues.map(|value| value.max(0.0).sqrt());
     &eigenvectors * DMatrix::from_diagonal(&roots) * eigenvectors.transpose()
 }
@@ -102,9 +95,7 @@ pub fn diversity(rows: ArrayView2<'_, f64>) -> f64 {
     let mut sum = 0.0;
     for (index, one) in rows.outer_iter().enumerate() {
         for other in rows.outer_iter().skip(index + 1) {
-            let squares = Zip::from(&one)
-                .and(&other)
-                .fold(0.0, |sum, a, b| sum + (a - b).powi(2));
+            let squares = Zip::from(&one).and(&other).fold(0.0, |sum, a, b| sum + (a - b).powi(2));
             sum += squares.sqrt();
         }
     }
@@ -165,11 +156,7 @@ mod tests {
 
     #[test]
     fn a_set_has_no_distance_from_itself_even_if_its_covariance_is_singular() {
-        let rows = array![
-            [1.0, 2.0, 3.0, 4.0],
-            [2.0, 1.0, 0.0, 9.0],
-            [5.0, 5.0, 1.0, 2.0]
-        ];
+        let rows = array![[1.0, 2.0, 3.0, 4.0], [2.0, 1.0, 0.0, 9.0], [5.0, 5.0, 1.0, 2.0]];
         // The root of a rounding error of 1e-16 is 1e-8.
         assert!(frechet_distance(rows.view(), rows.view()).abs() < 1e-6);
     }

@@ -71,16 +71,10 @@ pub enum EvaluationError {
 
 impl EvaluationError {
     pub(crate) fn io(path: &Path) -> impl Fn(io::Error) -> Self {
-        |source| Self::Io {
-            path: path.to_owned(),
-            source,
-        }
+        |source| Self::Io { path: path.to_owned(), source }
     }
 
     pub(crate) fn file(path: &Path, problem: impl Into<String>) -> Self {
-        Self::File {
-            path: path.to_owned(),
-            problem: problem.into(),
-        }
+        Self::File { path: path.to_owned(), problem: problem.into() }
     }
 }

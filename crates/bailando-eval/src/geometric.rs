@@ -100,11 +100,7 @@ struct Frame<'a> {
 impl<'a> Frame<'a> {
     fn new(before: &'a Pose, now: &'a Pose) -> Self {
         let heights = now.iter().map(|place| place.y);
-        Self {
-            before,
-            now,
-            lowest: heights.fold(f64::INFINITY, f64::min),
-        }
+        Self { before, now, lowest: heights.fold(f64::INFINITY, f64::min) }
     }
 
     fn place(&self, point: usize) -> DVec3 {
@@ -188,9 +184,7 @@ mod tests {
     /// The questions that are answered with yes when one pose follows another.
     fn yes(before: &Pose, now: &Pose) -> Vec<usize> {
         let features = geometric_features(&[*before, *now]);
-        (0..GEOMETRIC_FEATURES)
-            .filter(|&at| features[at] > 0.5)
-            .collect()
+        (0..GEOMETRIC_FEATURES).filter(|&at| features[at] > 0.5).collect()
     }
 
     /// The one yes of standing still: the normals of 14 and 15 are no mirror images of each other,

@@ -52,13 +52,7 @@ mod tests {
 
     #[test]
     fn quantiles_are_those_of_tables() {
-        let table = [
-            (1, 12.706),
-            (10, 2.228),
-            (11, 2.201),
-            (20, 2.086),
-            (60, 2.000),
-        ];
+        let table = [(1, 12.706), (10, 2.228), (11, 2.201), (20, 2.086), (60, 2.000)];
         for (degrees, expected) in table {
             assert!((quantile(degrees) - expected).abs() < 6e-4, "{degrees}");
         }

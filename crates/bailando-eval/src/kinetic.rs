@@ -96,9 +96,7 @@ mod tests {
     const STEP: f64 = 1.0 / FRAMES_PER_SECOND;
 
     fn clip(frames: usize, place: impl Fn(f64) -> DVec3) -> Vec<Pose> {
-        (0..frames)
-            .map(|frame| [place(frame as f64 * STEP); JOINTS])
-            .collect()
+        (0..frames).map(|frame| [place(frame as f64 * STEP); JOINTS]).collect()
     }
 
     #[test]
@@ -143,9 +141,7 @@ mod tests {
             let u = at.iter().map(|j| (p(i + j) - p(i + j - 1)) / STEP);
             let u = u.sum::<DVec3>() / at.len() as f64;
             horizontal += u.x * u.x + u.z * u.z;
-            let at: Vec<isize> = (-2..=2)
-                .filter(|j| i + j > 0 && i + j + 1 < total)
-                .collect();
+            let at: Vec<isize> = (-2..=2).filter(|j| i + j > 0 && i + j + 1 < total).collect();
             let a = at.iter().map(|j| {
                 let v2 = (p(i + j + 1) - p(i + j)) / STEP;
                 let v1 = p(i + j) - p(i + j - 1) / STEP;

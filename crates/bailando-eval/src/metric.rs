@@ -109,11 +109,7 @@ pub struct Scores {
 
 impl Scores {
     pub(crate) fn new(pieces: usize, samples: usize) -> Self {
-        Self {
-            pieces,
-            samples,
-            values: [None; ROWS.len()],
-        }
+        Self { pieces, samples, values: [None; ROWS.len()] }
     }
 
     pub(crate) fn set(&mut self, metric: Metric, value: f64) {

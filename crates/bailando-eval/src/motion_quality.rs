@@ -65,11 +65,7 @@ fn slow_shares_of_windows(speed: &[f64]) -> Vec<f64> {
     if speed.len() < WINDOW {
         return vec![share(speed)];
     }
-    speed
-        .windows(WINDOW)
-        .step_by(WINDOW_HOP)
-        .map(share)
-        .collect()
+    speed.windows(WINDOW).step_by(WINDOW_HOP).map(share).collect()
 }
 
 fn jerk(poses: &[Pose]) -> f64 {
@@ -78,9 +74,7 @@ fn jerk(poses: &[Pose]) -> f64 {
     };
     let lengths = poses.windows(4).map(|window| {
         let joints = 0..JOINTS;
-        joints
-            .map(|joint| third(window, joint).length())
-            .sum::<f64>()
+        joints.map(|joint| third(window, joint).length()).sum::<f64>()
     });
     let count = poses.len().saturating_sub(3).max(1) * JOINTS;
     lengths.sum::<f64>() / count as f64 * FRAMES_PER_SECOND.powi(3)
@@ -145,9 +139,7 @@ mod tests {
 
     #[test]
     fn speed_is_per_second_and_slow_is_below_15_cm_a_second() {
-        let walk = poses(61, |t, _| {
-            DVec3::X * if t < 0.5 { 0.1 * t } else { t - 0.45 }
-        });
+        let walk = poses(61, |t, _| DVec3::X * if t < 0.5 { 0.1 * t } else { t - 0.45 });
         let quality = MotionQuality::new(&walk);
         close(quality.mean_speed, 0.55);
         close(quality.slow_frames, 0.5);
@@ -189,13 +181,8 @@ mod tests {
 
     #[test]
     fn dance_beats_are_counted_per_second() {
-        let sway = poses(601, |t, _| {
-            DVec3::X * (std::f64::consts::TAU * t + 0.05).sin()
-        });
+        let sway = poses(601, |t, _| DVec3::X * (std::f64::consts::TAU * t + 0.05).sin());
         // The speed of a sine of one hertz has two minima a second, ends aside.
-        close(
-            MotionQuality::new(&sway).dance_beats_per_second,
-            20.0 / (601.0 / 60.0),
-        );
+        close(MotionQuality::new(&sway).dance_beats_per_second, 20.0 / (601.0 / 60.0));
     }
 }

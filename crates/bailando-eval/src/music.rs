@@ -112,9 +112,7 @@ impl MusicBeats {
 /// Returns the counts of a piece in the data folder.
 fn grid(id: &str, reference: &Reference) -> Option<Vec<usize>> {
     let seconds = &reference.info(id)?.grid_beats_s;
-    let frames = seconds
-        .iter()
-        .map(|s| (s * FRAMES_PER_SECOND).round_ties_even());
+    let frames = seconds.iter().map(|s| (s * FRAMES_PER_SECOND).round_ties_even());
     let frames = frames.filter(|frame| *frame >= 0.0);
     (!seconds.is_empty()).then(|| frames.map(|frame| frame as usize).collect())
 }

@@ -36,9 +36,7 @@ impl Report {
     /// # Errors
     /// [`EvaluationError::Plot`] if there is nothing to show, or it can't be drawn.
     pub fn svg(&self) -> Result<String, EvaluationError> {
-        let rows: Vec<Row> = Metric::all()
-            .filter_map(|metric| self.ratio(metric))
-            .collect();
+        let rows: Vec<Row> = Metric::all().filter_map(|metric| self.ratio(metric)).collect();
         if rows.is_empty() {
             return Err(EvaluationError::Plot("no metric has a ratio".into()));
         }
@@ -54,11 +52,7 @@ impl Report {
         let ratio = generated / recorded;
         // An interval that reaches below zero ends at the edge of what can be shown.
         let low = ((generated - margin) / recorded).max(ratio / 16.0);
-        Some(Row {
-            title: metric.title(),
-            ratio,
-            ends: [low, (generated + margin) / recorded],
-        })
+        Some(Row { title: metric.title(), ratio, ends: [low, (generated + margin) / recorded] })
     }
 
     fn draw(&self, rows: &[Row], svg: &mut String) -> Result<(), String> {

@@ -39,9 +39,7 @@ impl TrainingTakes {
     /// Indexes some motions; those shorter than 2 s have no window.
     pub(crate) fn new<'a>(takes: impl IntoIterator<Item = &'a Motion>) -> Self {
         let takes = takes.into_iter().map(|take| Take::new(take.poses()));
-        Self {
-            takes: takes.collect(),
-        }
+        Self { takes: takes.collect() }
     }
 
     /// Counts the 2 s windows of a motion, one a second: those within 5 cm mean joint distance of
@@ -65,12 +63,7 @@ impl Take {
             so_far += f64::from(distance(window, &windows[at.saturating_sub(1)]));
             travelled.push(so_far);
         }
-        Self {
-            parts: running_means(&poses, PART),
-            poses,
-            windows,
-            travelled,
-        }
+        Self { parts: running_means(&poses, PART), poses, windows, travelled }
     }
 
     /// Whether any window of this take is the same as that of `other` at `start`.
@@ -84,9 +77,7 @@ impl Take {
             let excess = distance(&self.windows[own], wanted) - SAME;
             if excess > 0.0 {
                 let reached = self.travelled[own] + f64::from(excess);
-                let next = self
-                    .travelled
-                    .partition_point(|&travelled| travelled < reached);
+                let next = self.travelled.partition_point(|&travelled| travelled < reached);
                 own = next.max(own + 1);
             } else if self.same(own, other, start) {
                 return true;
@@ -103,9 +94,7 @@ impl Take {
         if coarse * PART as f32 > SAME * WINDOW as f32 {
             return false;
         }
-        let frames = self.poses[own..own + WINDOW]
-            .iter()
-            .zip(&other.poses[start..]);
+        let frames = self.poses[own..own + WINDOW].iter().zip(&other.poses[start..]);
         let exact: f32 = frames.map(|(a, b)| distance(a, b)).sum();
         exact <= SAME * WINDOW as f32
     }
@@ -252,11 +241,8 @@ mod tests {
                 std::array::from_fn(|joint| one[joint].lerp(other[joint], share))
             };
             let other = dance(400, 6);
-            let poses: Vec<Pose> = take[10 * shift as usize..]
-                .iter()
-                .zip(&other)
-                .map(mix)
-                .collect();
+            let poses: Vec<Pose> =
+                take[10 * shift as usize..].iter().zip(&other).map(mix).collect();
             let starts = (0..=poses.len() - WINDOW).step_by(STRIDE);
             let expected = starts.filter(|&start| exact(&poses, start)).count();
             assert_eq!(known.recited(&poses).0, expected, "{shift}");

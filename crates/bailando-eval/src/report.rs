@@ -97,16 +97,8 @@ impl Report {
         };
         writeln!(text, "| metric | reference | {generated} |\n|---|---|---|")?;
         let [reference, generated] = [&self.reference, &self.generated];
-        writeln!(
-            text,
-            "| pieces | {} | {} |",
-            reference.pieces, generated.pieces
-        )?;
-        writeln!(
-            text,
-            "| samples | {} | {} |",
-            reference.samples, generated.samples
-        )?;
+        writeln!(text, "| pieces | {} | {} |", reference.pieces, generated.pieces)?;
+        writeln!(text, "| samples | {} | {} |", reference.samples, generated.samples)?;
         let all = [reference, generated];
         Metric::all()
             .filter(|&metric| all.iter().any(|scores| scores.get(metric).is_some()))
@@ -159,9 +151,7 @@ impl Report {
                 writeln!(text, "{left_out}: {name} columns {columns}.")?;
             }
         }
-        self.warnings
-            .iter()
-            .try_for_each(|warning| writeln!(text, "Note: {warning}."))
+        self.warnings.iter().try_for_each(|warning| writeln!(text, "Note: {warning}."))
     }
 }
 
@@ -217,11 +207,7 @@ mod tests {
         let slowest = Metric::SlowestWindow;
         let report = report(vec![
             scores(&[(Metric::FidK, 24.0), (slowest, 0.3)]),
-            scores(&[
-                (Metric::FidK, 26.0),
-                (slowest, 0.1),
-                (Metric::BeatAlign, 0.1),
-            ]),
+            scores(&[(Metric::FidK, 26.0), (slowest, 0.1), (Metric::BeatAlign, 0.1)]),
         ]);
         assert_eq!(report.generated.get(Metric::FidK), Some(25.0));
         // Not known of all sets.

@@ -66,12 +66,7 @@ pub fn evaluate(options: &EvaluationOptions) -> Result<Report, EvaluationError> 
         .iter()
         .map(|(folder, set)| evaluator.score(&folder.display().to_string(), set))
         .collect::<Result<_, _>>()?;
-    Ok(Report::new(
-        scores,
-        row,
-        protocol(options, &evaluator),
-        warnings,
-    ))
+    Ok(Report::new(scores, row, protocol(options, &evaluator), warnings))
 }
 
 fn protocol(options: &EvaluationOptions, evaluator: &Evaluator) -> Protocol {
@@ -115,9 +110,7 @@ fn generated_sets(
             Some(_) => only_split(set, reference, split, &folder, warnings)?,
             None if matches!(options.beats, BeatsFrom::NewSongs(_)) => set,
             None => {
-                set.pieces
-                    .iter()
-                    .try_for_each(|piece| reference.split_of(&piece.id).map(drop))?;
+                set.pieces.iter().try_for_each(|piece| reference.split_of(&piece.id).map(drop))?;
                 set
             }
         };
@@ -199,9 +192,7 @@ fn warn_of_short_motions(
         let names: Vec<String> = short.map(|motion| motion.name().to_owned()).collect();
         if !names.is_empty() {
             let (folder, names) = (folder.display(), listed(&names));
-            warnings.push(format!(
-                "{folder}: shorter than {length} frames, no window: {names}"
-            ));
+            warnings.push(format!("{folder}: shorter than {length} frames, no window: {names}"));
         }
     }
 }

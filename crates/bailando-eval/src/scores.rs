@@ -116,12 +116,7 @@ impl ReferenceSpace {
         let mut scores = Scores::new(set.pieces.len(), features.samples());
         for ((standard, reference), rows, fid, div) in [
             (&self.kinetic, features.kinetic, Metric::FidK, Metric::DivK),
-            (
-                &self.geometric,
-                features.geometric,
-                Metric::FidG,
-                Metric::DivG,
-            ),
+            (&self.geometric, features.geometric, Metric::FidG, Metric::DivG),
         ] {
             let rows = standard.apply(rows.view());
             scores.set(fid, frechet_distance(rows.view(), reference.view()));
@@ -133,11 +128,7 @@ impl ReferenceSpace {
 
 fn enough(set: &str, clips: Clips, got: usize) -> Result<(), EvaluationError> {
     if got < 2 {
-        return Err(EvaluationError::TooFew {
-            set: set.to_owned(),
-            samples: clips.noun(),
-            got,
-        });
+        return Err(EvaluationError::TooFew { set: set.to_owned(), samples: clips.noun(), got });
     }
     Ok(())
 }
@@ -180,14 +171,10 @@ impl Evaluator {
 }
 
 fn score_quality(scores: &mut Scores, motions: &[&Motion]) {
-    let each: Vec<MotionQuality> = motions
-        .iter()
-        .map(|motion| MotionQuality::new(motion.poses()))
-        .collect();
+    let each: Vec<MotionQuality> =
+        motions.iter().map(|motion| MotionQuality::new(motion.poses())).collect();
     let means: [Mean<MotionQuality>; 5] = [
-        (Metric::DanceBeatsPerSecond, |q| {
-            Some(q.dance_beats_per_second)
-        }),
+        (Metric::DanceBeatsPerSecond, |q| Some(q.dance_beats_per_second)),
         (Metric::SlowFrames, |q| Some(q.slow_frames)),
         (Metric::MeanSpeed, |q| Some(q.mean_speed)),
         (Metric::Jerk, |q| Some(q.jerk)),
@@ -215,9 +202,7 @@ fn score_beats(scores: &mut Scores, set: &MotionSet, beats: &MusicBeats, seed: u
         (Metric::BeatAlign, |score| Some(score.align)),
         (Metric::BeatAlignDance, |score| Some(score.align_dance)),
         (Metric::BeatChance, |score| score.chance),
-        (Metric::BeatMargin, |score| {
-            Some(score.align - score.chance?)
-        }),
+        (Metric::BeatMargin, |score| Some(score.align - score.chance?)),
     ];
     set_means(scores, &each, &means);
 }
@@ -237,10 +222,8 @@ fn set_means<T>(scores: &mut Scores, each: &[T], means: &[Mean<T>]) {
 
 /// Scores codes where every motion has them.
 fn score_codes(scores: &mut Scores, motions: &[&Motion]) {
-    let halves = [
-        (Metric::CodesUpper, Metric::EntropyUpper),
-        (Metric::CodesLower, Metric::EntropyLower),
-    ];
+    let halves =
+        [(Metric::CodesUpper, Metric::EntropyUpper), (Metric::CodesLower, Metric::EntropyLower)];
     for (half, (different, entropy)) in halves.into_iter().enumerate() {
         let mut counts: BTreeMap<u32, u32> = BTreeMap::new();
         for motion in motions {
@@ -305,10 +288,7 @@ mod tests {
     #[test]
     fn codes_are_counted_over_all_pieces() {
         let with = |codes: [Vec<u32>; 2], pace| motion("coded", pace).with_codes(codes);
-        let motions = [
-            with([vec![1, 1, 2], vec![5, 5, 5]], 2.0),
-            with([vec![2], vec![5]], 3.0),
-        ];
+        let motions = [with([vec![1, 1, 2], vec![5, 5, 5]], 2.0), with([vec![2], vec![5]], 3.0)];
         let scores = score(&motions, motions.to_vec()).unwrap();
         for (metric, expected) in [
             (Metric::CodesUpper, 2.0),
@@ -326,9 +306,6 @@ mod tests {
         let error = score(&motions[..1], motions.to_vec());
         assert!(matches!(error, Err(EvaluationError::TooFew { got: 1, .. })));
         let error = score(&motions, motions[..1].to_vec()).unwrap_err();
-        assert!(
-            error.to_string().contains("generated: 1 motions"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("generated: 1 motions"), "{error}");
     }
 }

@@ -37,13 +37,10 @@ pub(crate) struct MotionSet {
 impl MotionSet {
     /// Takes motions of one song each, with the song's name.
     pub(crate) fn from_motions(motions: Vec<Motion>) -> Self {
-        let pieces = motions.into_iter().map(|motion| Piece {
-            id: motion.name().to_owned(),
-            motion: Rc::new(motion),
-        });
-        Self {
-            pieces: pieces.collect(),
-        }
+        let pieces = motions
+            .into_iter()
+            .map(|motion| Piece { id: motion.name().to_owned(), motion: Rc::new(motion) });
+        Self { pieces: pieces.collect() }
     }
 
     /// Loads the motions of a folder, or of one split of a data folder.
@@ -117,10 +114,7 @@ impl Index {
         }
         let file: IndexFile = serde_json::from_str(&text(&path)?)
             .map_err(|error| EvaluationError::file(&path, error.to_string()))?;
-        Ok(Some(Self {
-            folder: folder.to_owned(),
-            pieces: file.pieces,
-        }))
+        Ok(Some(Self { folder: folder.to_owned(), pieces: file.pieces }))
     }
 
     /// Loads the recordings among the pieces that `wanted` picks, each motion once.

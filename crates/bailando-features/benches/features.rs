@@ -52,11 +52,7 @@ fn features(criterion: &mut Criterion) {
         let onset = stages.features.column(ONSET_COLUMN).to_vec();
         let mut group = criterion.benchmark_group(format!("{} Hz", rate.hz()));
         group.bench_function("spectra", |bencher| {
-            bencher.iter(|| {
-                extractor
-                    .stft_magnitudes(black_box(&input), usize::MAX)
-                    .is_ok()
-            });
+            bencher.iter(|| extractor.stft_magnitudes(black_box(&input), usize::MAX).is_ok());
         });
         group.bench_function("constant-Q", |bencher| {
             bencher.iter(|| extractor.cqt(black_box(&input), 0.1).is_ok());

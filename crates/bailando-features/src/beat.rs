@@ -49,12 +49,7 @@ pub(crate) struct BeatTracker {
 
 impl BeatTracker {
     pub(crate) fn new(rules: BeatRules) -> Self {
-        Self {
-            rules,
-            local: Vec::new(),
-            total: Vec::new(),
-            previous: Vec::new(),
-        }
+        Self { rules, local: Vec::new(), total: Vec::new(), previous: Vec::new() }
     }
 
     /// Rows of the beats, ascending; `period` is in rows and at least 1.
@@ -113,9 +108,8 @@ impl BeatTracker {
         // A beat follows half a period to two periods after the one before.
         let nearest = ((period as f64 / 2.0).round_ties_even() as usize).max(1);
         let farthest = 2 * period;
-        let penalties: Vec<f64> = (nearest..=farthest)
-            .map(|lag| self.penalty(lag as f64, period as f64))
-            .collect();
+        let penalties: Vec<f64> =
+            (nearest..=farthest).map(|lag| self.penalty(lag as f64, period as f64)).collect();
         let highest = self.local.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let audible = FIRST_BEAT_SHARE * highest;
         let mut started = false;
@@ -126,8 +120,7 @@ impl BeatTracker {
             let local = self.local[row];
             started = started || local >= audible;
             self.total.push(local + best.map_or(0.0, |best| best.score));
-            self.previous
-                .push(best.and_then(|best| best.row).filter(|_| started));
+            self.previous.push(best.and_then(|best| best.row).filter(|_| started));
         }
     }
 
@@ -255,9 +248,7 @@ mod tests {
     use super::*;
 
     fn pulses(rows: usize, period: usize) -> Vec<f32> {
-        (0..rows)
-            .map(|row| if row % period == 5 { 1.0 } else { 0.0 })
-            .collect()
+        (0..rows).map(|row| if row % period == 5 { 1.0 } else { 0.0 }).collect()
     }
 
     #[test]

@@ -48,11 +48,7 @@ pub(crate) struct Chain {
 
 impl Chain {
     pub(crate) fn new(settings: Settings) -> Self {
-        let Settings {
-            sample_rate,
-            padding,
-            ..
-        } = settings;
+        let Settings { sample_rate, padding, .. } = settings;
         Self {
             halves: Halves::new(padding, settings.silent_tail),
             mel: MelBank::new(sample_rate, BINS, sample_rate / 2.0),
@@ -79,20 +75,12 @@ impl Chain {
     /// Both parts of the signal, and the mel decibels `[T, 128]` of the whole.
     pub(crate) fn split(&mut self, pcm: &[f32], cancel: &CancelToken) -> (Split, Array2<f32>) {
         let mut mel = Array2::zeros((row_count(pcm.len()), BANDS));
-        let mut split = Split {
-            harmonic: vec![0.0; pcm.len()],
-            percussive: pcm.to_vec(),
-        };
+        let mut split = Split { harmonic: vec![0.0; pcm.len()], percussive: pcm.to_vec() };
         let harmonic = Some(split.harmonic.as_mut_slice());
         let (bank, separator) = (&self.mel, self.halves.single());
-        separator.split(
-            &mut split.percussive,
-            harmonic,
-            cancel,
-            |row, magnitudes| {
-                bank.power(magnitudes, mel.row_mut(row));
-            },
-        );
+        separator.split(&mut split.percussive, harmonic, cancel, |row, magnitudes| {
+            bank.power(magnitudes, mel.row_mut(row));
+        });
         to_decibels(&mut mel, Reference::Maximum);
         (split, mel)
     }

@@ -89,9 +89,7 @@ impl Cqt {
     ) -> Vec<(usize, f32, &'f Filter)> {
         let first = BINS_PER_OCTAVE * (self.settings.octaves - 1 - halvings);
         let columns = (first..).zip(filters);
-        columns
-            .map(|(bin, filter)| (bin, self.gain(bin, halvings, tuning), filter))
-            .collect()
+        columns.map(|(bin, filter)| (bin, self.gain(bin, halvings, tuning), filter)).collect()
     }
 
     fn octave(

@@ -82,8 +82,7 @@ impl BasisMaker {
             let phase = TAU * hz * time as f64 / sample_rate;
             *sample = Complex::from_polar(weight * gain, phase);
         }
-        self.fft
-            .process_with_scratch(&mut self.samples, &mut self.scratch);
+        self.fft.process_with_scratch(&mut self.samples, &mut self.scratch);
     }
 
     /// Cuts the response down to its strong bins; weak ones between them become zero.
@@ -113,10 +112,7 @@ impl BasisMaker {
                 false => Complex::default(),
             })
             .collect();
-        Filter {
-            first_bin,
-            response,
-        }
+        Filter { first_bin, response }
     }
 }
 

@@ -94,9 +94,7 @@ mod tests {
         for kind in [Decimation::SoxrHq, Decimation::KaiserFast] {
             let decimator = Decimator::new(kind);
             let tone = |step: f64| -> Vec<f32> {
-                (0..4_000)
-                    .map(|i| (step * f64::from(i)).sin() as f32)
-                    .collect()
+                (0..4_000).map(|i| (step * f64::from(i)).sin() as f32).collect()
             };
             let low = decimator.run(&tone(0.3));
             for (m, sample) in low.iter().enumerate().skip(200).take(1_600) {

@@ -53,11 +53,7 @@ impl FeatureExtractor {
     #[must_use]
     pub fn new(rate: Rate, profile: Profile) -> Self {
         let chain = Chain::new(Settings::new(rate, profile));
-        Self {
-            rate,
-            profile,
-            chain,
-        }
+        Self { rate, profile, chain }
     }
 
     /// Returns the sample rate that this extractor was planned for.
@@ -208,10 +204,7 @@ fn unless_cancelled<T>(result: T, cancel: &CancelToken) -> Result<T, FeatureErro
 fn check(pcm: &[f32]) -> Result<(), FeatureError> {
     let rows = row_count(pcm.len());
     if rows < MIN_ROWS {
-        return Err(FeatureError::TooShort {
-            rows,
-            needed: MIN_ROWS,
-        });
+        return Err(FeatureError::TooShort { rows, needed: MIN_ROWS });
     }
     let is_sound = |sample: &f32| (-LOUDEST..=LOUDEST).contains(sample);
     match pcm.iter().copied().enumerate().find(|(_, x)| !is_sound(x)) {

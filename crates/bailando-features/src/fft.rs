@@ -29,10 +29,7 @@ impl ForwardFft {
         &mut self.input
     }
 
-    #[expect(
-        clippy::expect_used,
-        reason = "the plan made the buffers to its own sizes"
-    )]
+    #[expect(clippy::expect_used, reason = "the plan made the buffers to its own sizes")]
     pub(crate) fn run(&mut self) -> &[Complex<f64>] {
         self.plan
             .process_with_scratch(&mut self.input, &mut self.output, &mut self.scratch)
@@ -65,10 +62,7 @@ impl InverseFft {
         &mut self.input
     }
 
-    #[expect(
-        clippy::expect_used,
-        reason = "the plan made the buffers to its own sizes"
-    )]
+    #[expect(clippy::expect_used, reason = "the plan made the buffers to its own sizes")]
     pub(crate) fn run(&mut self) -> &[f64] {
         // A real signal has real first and last bins; the plan insists on exact zeros.
         let last = self.input.len() - 1;

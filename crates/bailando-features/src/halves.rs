@@ -20,9 +20,7 @@ pub(crate) struct Halves {
 
 impl Halves {
     pub(crate) fn new(padding: Padding, silent_tail: bool) -> Self {
-        Self {
-            separators: [(); 2].map(|()| Separator::new(padding, silent_tail)),
-        }
+        Self { separators: [(); 2].map(|()| Separator::new(padding, silent_tail)) }
     }
 
     /// The separator for a signal that one thread works on.

@@ -83,9 +83,7 @@ impl Separator {
                 self.mask(index, soft_mask);
                 self.harmonic.push(&self.masked, frame, harmonic_part);
             }
-            self.mask(index, |harmonic, percussive| {
-                soft_mask(percussive, harmonic)
-            });
+            self.mask(index, |harmonic, percussive| soft_mask(percussive, harmonic));
             // The samples that it completes end half a window of frames before the next frame's.
             self.percussive.push(&self.masked, frame, signal);
         }
@@ -116,11 +114,9 @@ impl Separator {
         };
         let (frame, half) = (frame as isize, HALF_WINDOW as isize);
         if frame == 0 {
-            self.along_time
-                .fill(|index| magnitudes(index as isize - half));
+            self.along_time.fill(|index| magnitudes(index as isize - half));
         } else {
-            self.along_time
-                .exchange(magnitudes(frame - half - 1), magnitudes(frame + half));
+            self.along_time.exchange(magnitudes(frame - half - 1), magnitudes(frame + half));
         }
     }
 
@@ -134,8 +130,7 @@ impl Separator {
         self.along_frequency.fill(lanes);
         for step in 0..SEGMENT {
             if step > 0 {
-                self.along_frequency
-                    .exchange(&lanes(step - 1), &lanes(step + WINDOW - 1));
+                self.along_frequency.exchange(&lanes(step - 1), &lanes(step + WINDOW - 1));
             }
             for (lane, &median) in self.along_frequency.medians().iter().enumerate() {
                 self.percussive_median[lane * SEGMENT + step] = median;

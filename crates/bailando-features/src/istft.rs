@@ -34,9 +34,7 @@ impl OverlapAdd {
         let window = hann_periodic(FRAME);
         Self {
             inverse: InverseFft::new(FRAME),
-            squares: (0..HOP)
-                .map(|offset| squared_sum(&window, offset, 0..OVERLAP))
-                .collect(),
+            squares: (0..HOP).map(|offset| squared_sum(&window, offset, 0..OVERLAP)).collect(),
             window,
             pending: vec![0.0; FRAME],
         }
@@ -92,9 +90,7 @@ impl OverlapAdd {
 
 /// Sum of the squared window at `offset` samples into each of its `quarters` (hops from its start).
 fn squared_sum(window: &[f64], offset: usize, quarters: Range<usize>) -> f64 {
-    quarters
-        .map(|quarter| window[quarter * HOP + offset].powi(2))
-        .sum()
+    quarters.map(|quarter| window[quarter * HOP + offset].powi(2)).sum()
 }
 
 #[cfg(test)]

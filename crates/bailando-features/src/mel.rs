@@ -19,9 +19,8 @@ impl MelBank {
     pub(crate) fn new(sample_rate: f64, bins: usize, top_hz: f64) -> Self {
         let hz_per_bin = sample_rate / (2 * (bins - 1)) as f64;
         let top = hz_to_mel(top_hz);
-        let edges: Vec<f64> = (0..BANDS + 2)
-            .map(|i| mel_to_hz(top * i as f64 / (BANDS + 1) as f64))
-            .collect();
+        let edges: Vec<f64> =
+            (0..BANDS + 2).map(|i| mel_to_hz(top * i as f64 / (BANDS + 1) as f64)).collect();
         let bands = edges
             .windows(3)
             .map(|edge| Band::triangle(edge[0], edge[1], edge[2], hz_per_bin, bins))
@@ -56,10 +55,7 @@ impl Band {
             (rise.min(fall).max(0.0) * area) as f32
         };
         let first_bin = (0..bins).find(|&bin| weight(bin) > 0.0).unwrap_or(0);
-        let weights = (first_bin..bins)
-            .map(weight)
-            .take_while(|&weight| weight > 0.0)
-            .collect();
+        let weights = (first_bin..bins).map(weight).take_while(|&weight| weight > 0.0).collect();
         Self { first_bin, weights }
     }
 }

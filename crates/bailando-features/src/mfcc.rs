@@ -23,9 +23,7 @@ impl Mfcc {
                 scale * (PI * (k * (2 * n + 1)) as f64 / (2 * BANDS) as f64).cos()
             })
         };
-        Self {
-            basis: (0..COEFFICIENTS).map(row).collect(),
-        }
+        Self { basis: (0..COEFFICIENTS).map(row).collect() }
     }
 
     /// Writes the coefficients of one frame of mel decibels.
@@ -35,11 +33,8 @@ impl Mfcc {
         coefficients: impl IntoIterator<Item = &'out mut f32>,
     ) {
         for (coefficient, basis) in coefficients.into_iter().zip(&self.basis) {
-            let sum: f64 = basis
-                .iter()
-                .zip(mel_db)
-                .map(|(weight, &db)| weight * f64::from(db))
-                .sum();
+            let sum: f64 =
+                basis.iter().zip(mel_db).map(|(weight, &db)| weight * f64::from(db)).sum();
             *coefficient = sum as f32;
         }
     }
@@ -72,9 +67,8 @@ mod tests {
         assert!((got[0] + 8.0 * 128.0_f32.sqrt()).abs() < 1e-4);
         assert!(got[1..].iter().all(|c| c.abs() < 1e-5));
 
-        let cosine: Vec<f32> = (0..BANDS)
-            .map(|n| (PI * 5.0 * (2 * n + 1) as f64 / 256.0).cos() as f32)
-            .collect();
+        let cosine: Vec<f32> =
+            (0..BANDS).map(|n| (PI * 5.0 * (2 * n + 1) as f64 / 256.0).cos() as f32).collect();
         mfcc.frame(&aview1(&cosine), &mut got);
         // Orthonormal rows: the cosine's norm is sqrt(64).
         assert!((got[5] - 8.0).abs() < 1e-5);

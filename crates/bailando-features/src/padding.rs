@@ -12,9 +12,8 @@ pub(crate) enum Padding {
 impl Padding {
     /// Fills `frame` with the samples from `start` on, which may lie outside `signal`.
     pub(crate) fn fill(self, signal: &[f32], start: isize, frame: &mut [f32]) {
-        let inside = usize::try_from(start)
-            .ok()
-            .and_then(|first| signal.get(first..first + frame.len()));
+        let inside =
+            usize::try_from(start).ok().and_then(|first| signal.get(first..first + frame.len()));
         if let Some(samples) = inside {
             frame.copy_from_slice(samples);
             return;
@@ -29,10 +28,7 @@ impl Padding {
             Self::Zeros => usize::try_from(index).ok(),
             Self::Reflect => Some(mirror_at_samples(index, signal.len())),
         };
-        index
-            .and_then(|index| signal.get(index))
-            .copied()
-            .unwrap_or_default()
+        index.and_then(|index| signal.get(index)).copied().unwrap_or_default()
     }
 }
 

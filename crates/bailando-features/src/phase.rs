@@ -58,11 +58,7 @@ impl BeatPhase {
         }
         let chroma = rows.slice_axis(Axis(1), Slice::from(CHROMA_COLUMNS));
         let first = first_count(&counts_s, chroma);
-        Some(Self {
-            counts_s,
-            period_s,
-            first,
-        })
+        Some(Self { counts_s, period_s, first })
     }
 
     /// Returns the counts since the start of a phrase before the song, at `seconds` from the song's
@@ -90,9 +86,7 @@ impl BeatPhase {
         let mut columns = Array2::zeros((rows, 2 * periods.len()));
         for (row, mut values) in columns.rows_mut().into_iter().enumerate() {
             let counts = self.at(start_s + row as f64 / Rate::Conditioning.rows_per_second());
-            let angles = periods
-                .iter()
-                .map(|&period| TAU * counts / f64::from(period.max(1)));
+            let angles = periods.iter().map(|&period| TAU * counts / f64::from(period.max(1)));
             let waves = angles.flat_map(|angle| [angle.sin(), angle.cos()]);
             for (value, wave) in values.iter_mut().zip(waves) {
                 *value = wave as f32;
@@ -193,11 +187,7 @@ fn novelty(chroma: ArrayView2<'_, f32>, seconds: f64) -> f64 {
     let after = sum(row, row + NOVELTY_ROWS);
     let dot = |a: &[f64; 12], b: &[f64; 12]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let lengths = (dot(&before, &before) * dot(&after, &after)).sqrt();
-    if lengths > 0.0 {
-        1.0 - dot(&before, &after) / lengths
-    } else {
-        0.0
-    }
+    if lengths > 0.0 { 1.0 - dot(&before, &after) / lengths } else { 0.0 }
 }
 
 #[cfg(test)]

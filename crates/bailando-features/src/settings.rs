@@ -31,16 +31,12 @@ impl Settings {
         // Ratio of neighbouring bins, and of bins two apart.
         let (one_bin, two_bins) = ((1.0_f64 / 36.0).exp2(), (1.0_f64 / 18.0).exp2());
         let (padding, quality, decimation) = match profile {
-            Profile::Librosa011 => (
-                Padding::Zeros,
-                (two_bins + 1.0) / (two_bins - 1.0),
-                Decimation::SoxrHq,
-            ),
-            Profile::Librosa081 => (
-                Padding::Reflect,
-                1.0 / (one_bin - 1.0),
-                Decimation::KaiserFast,
-            ),
+            Profile::Librosa011 => {
+                (Padding::Zeros, (two_bins + 1.0) / (two_bins - 1.0), Decimation::SoxrHq)
+            }
+            Profile::Librosa081 => {
+                (Padding::Reflect, 1.0 / (one_bin - 1.0), Decimation::KaiserFast)
+            }
         };
         Self {
             sample_rate,
@@ -52,13 +48,7 @@ impl Settings {
                 // At every rate: at 3,840 Hz most bands stay empty and the envelope with them.
                 Profile::Librosa081 => 11_025.0,
             },
-            cqt: CqtSettings {
-                sample_rate,
-                octaves,
-                quality,
-                decimation,
-                padding,
-            },
+            cqt: CqtSettings { sample_rate, octaves, quality, decimation, padding },
             beat_rules: match profile {
                 Profile::Librosa011 => BeatRules::Current,
                 Profile::Librosa081 => BeatRules::Librosa081,

@@ -87,9 +87,7 @@ pub(crate) fn magnitudes(spectrum: &[Complex<f32>], magnitudes: &mut [f32]) {
 
 /// The window `0.5 - 0.5 cos(2 pi i / n)`.
 pub(crate) fn hann_periodic(n: usize) -> Vec<f64> {
-    (0..n)
-        .map(|i| 0.5 - 0.5 * (TAU * i as f64 / n as f64).cos())
-        .collect()
+    (0..n).map(|i| 0.5 - 0.5 * (TAU * i as f64 / n as f64).cos()).collect()
 }
 
 #[cfg(test)]
@@ -98,9 +96,8 @@ mod tests {
 
     #[test]
     fn a_frame_equals_the_windowed_fourier_sum() {
-        let signal: Vec<f32> = (0..3_000)
-            .map(|i| (i as f32 * 0.37).sin() + 0.2 * (i as f32 * 1.9).cos())
-            .collect();
+        let signal: Vec<f32> =
+            (0..3_000).map(|i| (i as f32 * 0.37).sin() + 0.2 * (i as f32 * 1.9).cos()).collect();
         let mut stft = Stft::hann(Padding::Zeros);
         let mut spectrum = vec![Complex::default(); BINS];
         // One frame hangs over the start, one over the end, one lies inside.

@@ -69,9 +69,8 @@ mod tests {
     #[test]
     fn regular_onsets_give_their_own_tempo() {
         for (rows_per_second, period) in [(7.5, 4), (60.0, 32)] {
-            let onset: Vec<f32> = (0..700)
-                .map(|i| if i % period == 1 { 3.0 } else { 0.0 })
-                .collect();
+            let onset: Vec<f32> =
+                (0..700).map(|i| if i % period == 1 { 3.0 } else { 0.0 }).collect();
             let mut estimator = TempoEstimator::new(rows_per_second);
             let tempo = estimator.estimate(&onset, &CancelToken::new());
             let bpm = 60.0 * rows_per_second / period as f64;

@@ -93,11 +93,7 @@ mod tests {
     #[test]
     fn every_row_equals_the_direct_autocorrelation() {
         let strength = |i: usize| {
-            if i % 7 == 3 {
-                2.0 + (i as f32).sin()
-            } else {
-                0.1
-            }
+            if i % 7 == 3 { 2.0 + (i as f32).sin() } else { 0.1 }
         };
         let onset: Vec<f32> = (0..90).map(strength).collect();
         for width in [60, 384] {

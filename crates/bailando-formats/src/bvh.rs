@@ -61,11 +61,9 @@ impl FromStr for BvhUnit {
         match name {
             "cm" => Ok(Self::Centimetre),
             "m" => Ok(Self::Metre),
-            _ => Err(FormatError::Choice {
-                name: "bvh_unit",
-                got: name.into(),
-                accepted: "cm or m",
-            }),
+            _ => {
+                Err(FormatError::Choice { name: "bvh_unit", got: name.into(), accepted: "cm or m" })
+            }
         }
     }
 }
@@ -114,9 +112,8 @@ impl BvhWriter<'_> {
         let text = &mut self.text;
         writeln!(text, "{indent}\tCHANNELS {channels}{ROTATION_CHANNELS}")?;
         let is_child = |child: &usize| self.skeleton.parent(*child) == Some(joint);
-        let children: Vec<usize> = (joint + 1..self.skeleton.joints.len())
-            .filter(is_child)
-            .collect();
+        let children: Vec<usize> =
+            (joint + 1..self.skeleton.joints.len()).filter(is_child).collect();
         for &child in &children {
             self.joint(child, depth + 1)?;
         }
@@ -147,21 +144,14 @@ impl BvhWriter<'_> {
             bone
         };
         // Too short to be drawn, or none at all (a lone root).
-        if end.length() < 1e-3 {
-            Vec3::Y * SHORTEST_END
-        } else {
-            end
-        }
+        if end.length() < 1e-3 { Vec3::Y * SHORTEST_END } else { end }
     }
 
     fn motion(&mut self, motion: &GeneratedMotion) -> fmt::Result {
         let animation = &motion.animation;
         let frame_time = 1.0 / f64::from(animation.fps);
         let frames = animation.root.len();
-        writeln!(
-            self.text,
-            "MOTION\nFrames: {frames}\nFrame Time: {frame_time:.8}"
-        )?;
+        writeln!(self.text, "MOTION\nFrames: {frames}\nFrame Time: {frame_time:.8}")?;
         let mut angles = vec![[0.0; 3]; self.skeleton.joints.len()];
         for (&root, rotations) in animation.root.iter().zip(&animation.rotations) {
             let start = self.text.len();
@@ -195,7 +185,5 @@ impl BvhWriter<'_> {
 /// Turns a name into one that BVH can hold: one word without braces.
 fn token(name: &str) -> String {
     let fits = |c: char| !c.is_whitespace() && !c.is_control() && !matches!(c, '{' | '}');
-    name.chars()
-        .map(|c| if fits(c) { c } else { '_' })
-        .collect()
+    name.chars().map(|c| if fits(c) { c } else { '_' }).collect()
 }

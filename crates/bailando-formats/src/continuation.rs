@@ -35,12 +35,7 @@ impl Continuation {
     /// hexadecimal.
     #[must_use]
     pub fn new(model_sha256: &str, codes: Codes, position: [f32; 2], heading: f32) -> Self {
-        Self {
-            model: identity(model_sha256),
-            codes,
-            position,
-            heading,
-        }
+        Self { model: identity(model_sha256), codes, position, heading }
     }
 
     /// Whether the motion was the same model's.
@@ -84,16 +79,8 @@ impl Continuation {
             return None;
         }
         let code = |low, high| u32::from(u16::from_le_bytes([low, high]));
-        let (upper, lower) = pairs
-            .iter()
-            .map(|&[a, b, c, d]| (code(a, b), code(c, d)))
-            .unzip();
-        Some(Self {
-            model: *model,
-            codes: Codes { upper, lower },
-            position: [x, z],
-            heading,
-        })
+        let (upper, lower) = pairs.iter().map(|&[a, b, c, d]| (code(a, b), code(c, d))).unzip();
+        Some(Self { model: *model, codes: Codes { upper, lower }, position: [x, z], heading })
     }
 }
 
@@ -144,12 +131,7 @@ mod tests {
         let text = continuation(2).to_text();
         let odd = |position, heading| {
             let continuation = continuation(1);
-            Continuation {
-                position,
-                heading,
-                ..continuation
-            }
-            .to_text()
+            Continuation { position, heading, ..continuation }.to_text()
         };
         let texts = [
             String::new(),

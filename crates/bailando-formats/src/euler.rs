@@ -34,11 +34,7 @@ pub(crate) fn nearest_angles(rotation: DQuat, previous: [f64; 3]) -> [f64; 3] {
         squares.sum::<f64>()
     };
     let (one, other) = (near([y, x, z]), near([y + PI, PI - x, z + PI]));
-    if distance(one) <= distance(other) {
-        one
-    } else {
-        other
-    }
+    if distance(one) <= distance(other) { one } else { other }
 }
 
 /// Adds the full turns to `angle` that bring it nearest to `target`.

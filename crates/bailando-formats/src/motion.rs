@@ -82,11 +82,7 @@ impl GeneratedMotion {
             return fail(error.to_string());
         }
         let joints = self.skeleton.joints.len();
-        let Animation {
-            fps,
-            root,
-            rotations,
-        } = &self.animation;
+        let Animation { fps, root, rotations } = &self.animation;
         if *fps == 0 {
             return fail("0 frames per second".into());
         }

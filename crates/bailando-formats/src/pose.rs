@@ -41,9 +41,6 @@ pub fn pose_json(
         lower,
         fps,
         frames: positions.dim().0,
-        positions: Numbers {
-            block: Block::Positions(positions.view()),
-            encoding: Encoding::Json,
-        },
+        positions: Numbers { block: Block::Positions(positions.view()), encoding: Encoding::Json },
     })?)
 }

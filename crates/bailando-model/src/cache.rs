@@ -107,10 +107,7 @@ impl KvCache {
         self.layers
             .iter()
             .map(|[keys, values]| {
-                Ok([
-                    self.view(graph, keys, rows)?,
-                    self.view(graph, values, rows)?,
-                ])
+                Ok([self.view(graph, keys, rows)?, self.view(graph, values, rows)?])
             })
             .collect()
     }
@@ -121,15 +118,11 @@ impl KvCache {
         numbers: &'numbers [f32],
         rows: usize,
     ) -> Result<TensorRef<'numbers, f32>, ModelError> {
-        let RowShape {
-            heads, head_size, ..
-        } = self.shape;
+        let RowShape { heads, head_size, .. } = self.shape;
         let shape = [rows, heads, self.shape.tokens(), head_size];
         let part = &numbers[..rows * self.shape.size()];
-        TensorRef::from_array_view((shape, part)).map_err(|e| ModelError::Run {
-            graph,
-            problem: one_line(&e),
-        })
+        TensorRef::from_array_view((shape, part))
+            .map_err(|e| ModelError::Run { graph, problem: one_line(&e) })
     }
 
     /// Appends the newest `steps` of a run to `rows`. `present` has keys and values of every layer
@@ -157,12 +150,7 @@ impl KvCache {
                 problem: "its keys and values have other shapes than the manifest says".into(),
             });
         }
-        for (numbers, found) in self
-            .layers
-            .iter_mut()
-            .flatten()
-            .zip(present.iter().flatten())
-        {
+        for (numbers, found) in self.layers.iter_mut().flatten().zip(present.iter().flatten()) {
             let of_head = found.len() / heads.max(1);
             for (place, source) in found.chunks_exact(of_head.max(1)).enumerate() {
                 let row = rows.start + place / shape.heads;
@@ -188,11 +176,7 @@ impl KvCache {
 mod tests {
     use super::*;
 
-    const SHAPE: RowShape = RowShape {
-        heads: 2,
-        steps: 3,
-        head_size: 1,
-    };
+    const SHAPE: RowShape = RowShape { heads: 2, steps: 3, head_size: 1 };
 
     /// Keys and values of one layer: `[rows, heads, tokens]` counted up from `first`.
     fn numbers(rows: usize, tokens: usize, first: f32) -> Vec<f32> {
@@ -201,9 +185,7 @@ mod tests {
     }
 
     fn append(cache: &mut KvCache, rows: Range<usize>, steps: usize, present: &[f32]) {
-        cache
-            .append("graph", rows, steps, &[[present, present]])
-            .unwrap();
+        cache.append("graph", rows, steps, &[[present, present]]).unwrap();
     }
 
     /// Keys of a row's head, as far as they are filled.

@@ -34,10 +34,7 @@ impl ModelDirectory {
         }
         check_place(root, &path)?;
         let text = read_limited(&path, MANIFEST_LIMIT)?;
-        let refuse = |problem: String| ModelError::Manifest {
-            path: path.clone(),
-            problem,
-        };
+        let refuse = |problem: String| ModelError::Manifest { path: path.clone(), problem };
         let manifest: Manifest =
             serde_json::from_slice(&text).map_err(|e| refuse(e.to_string()))?;
         manifest.validate().map_err(refuse)?;
@@ -47,11 +44,7 @@ impl ModelDirectory {
             check_file(&path, entry.bytes, &entry.sha256)?;
         }
         let manifest_sha256 = hexadecimal(&Sha256::digest(&text));
-        Ok(Self {
-            root: root.to_path_buf(),
-            manifest,
-            manifest_sha256,
-        })
+        Ok(Self { root: root.to_path_buf(), manifest, manifest_sha256 })
     }
 
     /// The manifest.
@@ -93,16 +86,11 @@ impl ModelDirectory {
 
 /// Refuses a link out of `root`, and what is no file at all: a device or a pipe may never end.
 fn check_place(root: &Path, path: &Path) -> Result<(), ModelError> {
-    let failed = |reason| ModelError::Read {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let failed = |reason| ModelError::Read { path: path.to_path_buf(), reason };
     let home = fs::canonicalize(root).map_err(failed)?;
     let place = fs::canonicalize(path).map_err(failed)?;
     if !place.starts_with(&home) {
-        return Err(ModelError::Outside {
-            path: path.to_path_buf(),
-        });
+        return Err(ModelError::Outside { path: path.to_path_buf() });
     }
     match fs::metadata(&place).map_err(failed)?.is_file() {
         true => Ok(()),
@@ -111,10 +99,7 @@ fn check_place(root: &Path, path: &Path) -> Result<(), ModelError> {
 }
 
 fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, ModelError> {
-    let failed = |reason| ModelError::Read {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let failed = |reason| ModelError::Read { path: path.to_path_buf(), reason };
     let file = File::open(path).map_err(failed)?;
     let mut bytes = Vec::new();
     file.take(limit).read_to_end(&mut bytes).map_err(failed)?;
@@ -122,17 +107,9 @@ fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, ModelError> {
 }
 
 fn check_file(path: &Path, bytes: u64, sha256: &str) -> Result<(), ModelError> {
-    let failed = |reason| ModelError::Read {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let failed = |reason| ModelError::Read { path: path.to_path_buf(), reason };
     let mismatch = |what, expected: String, found: String| {
-        Err(ModelError::Mismatch {
-            path: path.to_path_buf(),
-            what,
-            expected,
-            found,
-        })
+        Err(ModelError::Mismatch { path: path.to_path_buf(), what, expected, found })
     };
     let mut file = File::open(path).map_err(failed)?;
     let length = file.metadata().map_err(failed)?.len();

@@ -17,19 +17,15 @@ const DEEPEST: usize = 100;
 
 /// Refuses the graph at `path` if a tensor's values lie elsewhere.
 pub(super) fn check(path: &Path) -> Result<(), ModelError> {
-    let failed = |reason| ModelError::Read {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let failed = |reason| ModelError::Read { path: path.to_path_buf(), reason };
     let file = File::open(path).map_err(failed)?;
     let length = file.metadata().map_err(failed)?.len();
     match check_bytes(BufReader::new(file), length) {
         Ok(()) => Ok(()),
         Err(Fault::Read(reason)) => Err(failed(reason)),
-        Err(Fault::Graph(problem)) => Err(ModelError::GraphFile {
-            path: path.to_path_buf(),
-            problem,
-        }),
+        Err(Fault::Graph(problem)) => {
+            Err(ModelError::GraphFile { path: path.to_path_buf(), problem })
+        }
     }
 }
 
@@ -147,12 +143,10 @@ impl<R: BufRead + Seek> Walk<R> {
         let mut value = 0;
         for shift in (0..u64::BITS).step_by(7) {
             let mut byte = [0];
-            self.reader
-                .read_exact(&mut byte)
-                .map_err(|reason| match reason.kind() {
-                    io::ErrorKind::UnexpectedEof => CUT_OFF,
-                    _ => Fault::Read(reason),
-                })?;
+            self.reader.read_exact(&mut byte).map_err(|reason| match reason.kind() {
+                io::ErrorKind::UnexpectedEof => CUT_OFF,
+                _ => Fault::Read(reason),
+            })?;
             self.at += 1;
             let [byte] = byte;
             let bits = u64::from(byte & 0x7f);

@@ -88,18 +88,10 @@ impl CacheNames {
     fn new(layers: usize) -> Self {
         let names = |when: &str| {
             (0..layers)
-                .map(|layer| {
-                    [
-                        format!("{when}_key.{layer}"),
-                        format!("{when}_value.{layer}"),
-                    ]
-                })
+                .map(|layer| [format!("{when}_key.{layer}"), format!("{when}_value.{layer}")])
                 .collect()
         };
-        Self {
-            past: names("past"),
-            present: names("present"),
-        }
+        Self { past: names("past"), present: names("present") }
     }
 }
 
@@ -118,10 +110,8 @@ impl Run {
     ) -> Result<(), ModelError> {
         let numbers = |value| -> Result<_, ModelError> {
             let tensor = DynValue::try_extract_tensor::<f32>(value);
-            let (_, numbers) = tensor.map_err(|e| ModelError::Run {
-                graph: GRAPH,
-                problem: one_line(&e),
-            })?;
+            let (_, numbers) =
+                tensor.map_err(|e| ModelError::Run { graph: GRAPH, problem: one_line(&e) })?;
             Ok(numbers)
         };
         let present = self.present.iter();
@@ -214,11 +204,7 @@ impl Gpt {
         if count == 0 || count > cache.rows() || !fits {
             return Err(ModelError::Input {
                 what: "GPT steps",
-                expected: format!(
-                    "1 to {} beside music of {} columns",
-                    cache.rows(),
-                    self.columns
-                ),
+                expected: format!("1 to {} beside music of {} columns", cache.rows(), self.columns),
                 got: format!("{count}, or music of another width"),
             });
         }
@@ -233,14 +219,8 @@ impl Gpt {
             ("upper".into(), half(0)?.into()),
             ("lower".into(), half(1)?.into()),
             ("music".into(), music.into()),
-            (
-                "positions".into(),
-                integers(GRAPH, count, positions)?.into(),
-            ),
-            (
-                "attention_bias".into(),
-                floats(GRAPH, step_bias(cache, count).view())?.into(),
-            ),
+            ("positions".into(), integers(GRAPH, count, positions)?.into()),
+            ("attention_bias".into(), floats(GRAPH, step_bias(cache, count).view())?.into()),
         ];
         let layers = cache.first(GRAPH, count)?;
         for (names, tensors) in self.names.past.iter().zip(layers) {
@@ -274,14 +254,8 @@ impl Gpt {
             ("upper".into(), half(0)?.into()),
             ("lower".into(), half(1)?.into()),
             ("music".into(), floats(GRAPH, music)?.into()),
-            (
-                "positions".into(),
-                integers(GRAPH, 1, 0..count as i64)?.into(),
-            ),
-            (
-                "attention_bias".into(),
-                floats(GRAPH, prefill_bias(count).view())?.into(),
-            ),
+            ("positions".into(), integers(GRAPH, 1, 0..count as i64)?.into()),
+            ("attention_bias".into(), floats(GRAPH, prefill_bias(count).view())?.into()),
         ];
         for name in self.names.past.iter().flatten() {
             let shape = [1, self.heads, 0, self.head_size];
@@ -300,15 +274,9 @@ impl Gpt {
                 let logits = take_matrices(GRAPH, outputs, name, shape)?;
                 let (batch, steps, codes) = logits.dim();
                 let rows = logits.into_shape_with_order((batch * steps, codes));
-                rows.map_err(|e| ModelError::Run {
-                    graph: GRAPH,
-                    problem: one_line(&e),
-                })
+                rows.map_err(|e| ModelError::Run { graph: GRAPH, problem: one_line(&e) })
             };
-            let logits = Logits {
-                upper: logits("upper_logits")?,
-                lower: logits("lower_logits")?,
-            };
+            let logits = Logits { upper: logits("upper_logits")?, lower: logits("lower_logits")? };
             let present = names
                 .iter()
                 .map(|[key, value]| Ok([take(GRAPH, outputs, key)?, take(GRAPH, outputs, value)?]));
@@ -356,11 +324,7 @@ mod tests {
 
     #[test]
     fn a_step_sees_the_filled_slots_and_itself() {
-        let shape = RowShape {
-            heads: 1,
-            steps: 2,
-            head_size: 1,
-        };
+        let shape = RowShape { heads: 1, steps: 2, head_size: 1 };
         let mut cache = KvCache::new(2, 1, shape);
         let present: &[f32] = &[0.0; 3];
         let appended = cache.append(GRAPH, 1..2, 1, &[[present, present]]);

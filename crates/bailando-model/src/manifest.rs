@@ -155,10 +155,7 @@ fn unguided() -> f32 {
     1.0
 }
 
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde calls it with a reference"
-)]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
 fn is_unguided(guidance: &f32) -> bool {
     *guidance == unguided()
 }
@@ -167,10 +164,7 @@ fn one_candidate() -> usize {
     1
 }
 
-#[expect(
-    clippy::trivially_copy_pass_by_ref,
-    reason = "serde calls it with a reference"
-)]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
 fn is_one_candidate(candidates: &usize) -> bool {
     *candidates == one_candidate()
 }
@@ -338,12 +332,7 @@ impl Manifest {
 
     /// Bytes of a sequence's keys and values: three streams, in float32.
     fn memory_bytes(&self) -> u64 {
-        let GptSpec {
-            block,
-            channels,
-            layers,
-            ..
-        } = self.gpt;
+        let GptSpec { block, channels, layers, .. } = self.gpt;
         let numbers = [2, 3, layers, block, channels].map(|size| size as u64);
         4 * numbers.iter().product::<u64>()
     }
@@ -354,25 +343,15 @@ impl Manifest {
         if let Some([u, l]) = self.start_codes.iter().find(|pair| !fits(pair)) {
             return Err(format!("start codes {u}, {l} lie outside the vocabulary"));
         }
-        self.suppressed_codes
-            .validate(self.vocabulary, &self.start_codes)?;
-        let SamplingDefaults {
-            temperature,
-            top_k,
-            guidance,
-            candidates,
-            hop,
-            ..
-        } = self.sampling;
+        self.suppressed_codes.validate(self.vocabulary, &self.start_codes)?;
+        let SamplingDefaults { temperature, top_k, guidance, candidates, hop, .. } = self.sampling;
         if !(0.0..=MAX_TEMPERATURE).contains(&temperature) {
             return Err(format!(
                 "sampling temperature is {temperature}, expected 0 to {MAX_TEMPERATURE}"
             ));
         }
         if !(0.0..=MAX_GUIDANCE).contains(&guidance) {
-            return Err(format!(
-                "sampling guidance is {guidance}, expected 0 to {MAX_GUIDANCE}"
-            ));
+            return Err(format!("sampling guidance is {guidance}, expected 0 to {MAX_GUIDANCE}"));
         }
         if !(1..=MAX_CANDIDATES).contains(&candidates) {
             return Err(format!(
@@ -383,10 +362,7 @@ impl Manifest {
             return Err("sampling top_k is 0".into());
         }
         if hop == 0 || hop > self.gpt.context {
-            return Err(format!(
-                "sampling hop is {hop}, the context {}",
-                self.gpt.context
-            ));
+            return Err(format!("sampling hop is {hop}, the context {}", self.gpt.context));
         }
         Ok(())
     }
@@ -394,10 +370,7 @@ impl Manifest {
     fn validate_joints(&self) -> Result<(), String> {
         let mut joints: Vec<_> = self.upper_joints.iter().chain(&self.lower_joints).collect();
         joints.sort_unstable();
-        if joints
-            .into_iter()
-            .ne(&(0..self.skeleton.joints.len()).collect::<Vec<_>>())
-        {
+        if joints.into_iter().ne(&(0..self.skeleton.joints.len()).collect::<Vec<_>>()) {
             return Err("upper_joints and lower_joints must hold each joint once".into());
         }
         Ok(())
@@ -414,9 +387,7 @@ impl Manifest {
             !name.is_empty() && !name.starts_with('.') && !name.contains(['/', '\\', ':', '\0'])
         };
         match self.files.keys().find(|name| !plain(name)) {
-            Some(name) => Err(format!(
-                "files lists {name:?}, which is not a plain file name"
-            )),
+            Some(name) => Err(format!("files lists {name:?}, which is not a plain file name")),
             None => Ok(()),
         }
     }

@@ -20,10 +20,7 @@ const PROJECT_FOLDER: &str = ".onnxruntime/lib";
 /// The process-wide ONNX Runtime environment; the library is loaded on first use.
 pub(super) fn environment() -> Result<&'static Environment, ModelError> {
     static ENVIRONMENT: OnceLock<Result<Environment, String>> = OnceLock::new();
-    ENVIRONMENT
-        .get_or_init(load)
-        .as_ref()
-        .map_err(|problem| ModelError::Runtime(problem.clone()))
+    ENVIRONMENT.get_or_init(load).as_ref().map_err(|problem| ModelError::Runtime(problem.clone()))
 }
 
 fn load() -> Result<Environment, String> {

@@ -45,21 +45,14 @@ impl Graph {
                     .build()])?
                 .commit_from_file(path)
         };
-        let session = build().map_err(|e| ModelError::Graph {
-            path: path.to_path_buf(),
-            problem: one_line(&e),
-        })?;
+        let session = build()
+            .map_err(|e| ModelError::Graph { path: path.to_path_buf(), problem: one_line(&e) })?;
         Ok(Self { name, session })
     }
 
     /// Checks that the graph has exactly the named inputs.
     pub(super) fn expect_inputs(&self, path: &Path, expected: &[String]) -> Result<(), ModelError> {
-        let mut found: Vec<_> = self
-            .session
-            .inputs()
-            .iter()
-            .map(|i| i.name().to_owned())
-            .collect();
+        let mut found: Vec<_> = self.session.inputs().iter().map(|i| i.name().to_owned()).collect();
         let mut expected = expected.to_vec();
         found.sort();
         expected.sort();
@@ -81,10 +74,10 @@ impl Graph {
         read: impl FnOnce(&mut SessionOutputs<'_>) -> Result<T, ModelError>,
     ) -> Result<T, ModelError> {
         let graph = self.name;
-        let mut outputs = self.session.run(inputs).map_err(|e| ModelError::Run {
-            graph,
-            problem: one_line(&e),
-        })?;
+        let mut outputs = self
+            .session
+            .run(inputs)
+            .map_err(|e| ModelError::Run { graph, problem: one_line(&e) })?;
         read(&mut outputs)
     }
 }
@@ -106,20 +99,14 @@ pub(super) fn floats<D: Dimension>(
     values: ArrayView<'_, f32, D>,
 ) -> Result<DynValue, ModelError> {
     let shape = values.shape().to_vec();
-    tensor(
-        graph,
-        Tensor::from_array((shape, values.iter().copied().collect::<Vec<f32>>())),
-    )
+    tensor(graph, Tensor::from_array((shape, values.iter().copied().collect::<Vec<f32>>())))
 }
 
 pub(super) fn tensor<T: ort::value::PrimitiveTensorElementType + std::fmt::Debug>(
     graph: &'static str,
     result: ort::Result<Tensor<T>>,
 ) -> Result<DynValue, ModelError> {
-    result.map(Tensor::into_dyn).map_err(|e| ModelError::Run {
-        graph,
-        problem: one_line(&e),
-    })
+    result.map(Tensor::into_dyn).map_err(|e| ModelError::Run { graph, problem: one_line(&e) })
 }
 
 /// Takes the named output out of a run.
@@ -128,10 +115,9 @@ pub(super) fn take(
     outputs: &mut SessionOutputs<'_>,
     name: &str,
 ) -> Result<DynValue, ModelError> {
-    outputs.remove(name).ok_or_else(|| ModelError::Run {
-        graph,
-        problem: format!("it has no output named {name}"),
-    })
+    outputs
+        .remove(name)
+        .ok_or_else(|| ModelError::Run { graph, problem: format!("it has no output named {name}") })
 }
 
 /// Takes the named output `[batch, rows, columns]` out of a run.
@@ -143,12 +129,8 @@ pub(super) fn take_matrices(
 ) -> Result<Array3<f32>, ModelError> {
     let value = take(graph, outputs, name)?;
     let wrong = |problem: String| ModelError::Run { graph, problem };
-    let array = value
-        .try_extract_array::<f32>()
-        .map_err(|e| wrong(one_line(&e)))?;
-    let array = array
-        .into_dimensionality::<Ix3>()
-        .map_err(|e| wrong(one_line(&e)))?;
+    let array = value.try_extract_array::<f32>().map_err(|e| wrong(one_line(&e)))?;
+    let array = array.into_dimensionality::<Ix3>().map_err(|e| wrong(one_line(&e)))?;
     let (batch, rows, _) = array.dim();
     if [batch, rows] != expected {
         let [batch, rows] = expected;
@@ -161,9 +143,5 @@ pub(super) fn take_matrices(
 
 /// ONNX Runtime's reasons run over several lines; ours are one.
 pub(super) fn one_line(error: &impl fmt::Display) -> String {
-    error
-        .to_string()
-        .split_whitespace()
-        .collect::<Vec<_>>()
-        .join(" ")
+    error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -30,9 +30,7 @@ impl SuppressedCodes {
         [(&self.upper, upper), (&self.lower, lower)].map(|(suppressed, size)| {
             // Sizes are at most 65,536: the manifest's check says so.
             let codes = 0..size as u32;
-            codes
-                .filter(|code| suppressed.binary_search(code).is_err())
-                .collect()
+            codes.filter(|code| suppressed.binary_search(code).is_err()).collect()
         })
     }
 
@@ -41,27 +39,21 @@ impl SuppressedCodes {
         vocabulary: Vocabulary,
         start_codes: &[[u32; 2]],
     ) -> Result<(), String> {
-        let halves = [
-            ("upper", &self.upper, vocabulary.upper),
-            ("lower", &self.lower, vocabulary.lower),
-        ];
+        let halves =
+            [("upper", &self.upper, vocabulary.upper), ("lower", &self.lower, vocabulary.lower)];
         for (half, (name, codes, size)) in halves.into_iter().enumerate() {
             if !codes.is_sorted_by(|a, b| a < b) {
                 return Err(format!("suppressed {name} codes are not ascending"));
             }
             if let Some(code) = codes.iter().find(|&&code| code as usize >= size) {
-                return Err(format!(
-                    "suppressed {name} code {code} lies outside the vocabulary"
-                ));
+                return Err(format!("suppressed {name} code {code} lies outside the vocabulary"));
             }
             if codes.len() == size {
                 return Err(format!("all {name} codes are suppressed"));
             }
             let mut starts = start_codes.iter().filter_map(|pair| pair.get(half));
             if let Some(code) = starts.find(|code| codes.binary_search(code).is_ok()) {
-                return Err(format!(
-                    "start codes hold {name} code {code}, which is suppressed"
-                ));
+                return Err(format!("start codes hold {name} code {code}, which is suppressed"));
             }
         }
         Ok(())
@@ -75,18 +67,12 @@ mod tests {
     const SIZES: Vocabulary = Vocabulary { upper: 3, lower: 4 };
 
     fn suppressed(upper: &[u32], lower: &[u32]) -> SuppressedCodes {
-        SuppressedCodes {
-            upper: upper.to_vec(),
-            lower: lower.to_vec(),
-        }
+        SuppressedCodes { upper: upper.to_vec(), lower: lower.to_vec() }
     }
 
     #[test]
     fn the_others_may_be_drawn() {
-        assert_eq!(
-            suppressed(&[], &[1, 2]).others(SIZES),
-            [vec![0, 1, 2], vec![0, 3]]
-        );
+        assert_eq!(suppressed(&[], &[1, 2]).others(SIZES), [vec![0, 1, 2], vec![0, 3]]);
     }
 
     #[test]

@@ -66,16 +66,9 @@ impl Decoder {
         let columns = self.columns;
         let half = |half: usize| {
             let codes = sequences.iter().flat_map(|codes| codes.iter());
-            integers(
-                DECODER,
-                sequences.len(),
-                codes.map(|pair| i64::from(pair[half])),
-            )
+            integers(DECODER, sequences.len(), codes.map(|pair| i64::from(pair[half])))
         };
-        let inputs = vec![
-            ("upper".into(), half(0)?.into()),
-            ("lower".into(), half(1)?.into()),
-        ];
+        let inputs = vec![("upper".into(), half(0)?.into()), ("lower".into(), half(1)?.into())];
         self.graph.run(inputs, |outputs| {
             let motion = take_matrices(DECODER, outputs, "motion", expected)?;
             let (.., found) = motion.dim();
@@ -140,13 +133,9 @@ impl Encoder {
         self.graph.run(inputs, |outputs| {
             let mut codes = |name: &str| -> Result<Vec<u32>, ModelError> {
                 let value = take(ENCODER, outputs, name)?;
-                let wrong = |problem: String| ModelError::Run {
-                    graph: ENCODER,
-                    problem,
-                };
-                let (_, codes) = value
-                    .try_extract_tensor::<i64>()
-                    .map_err(|e| wrong(one_line(&e)))?;
+                let wrong = |problem: String| ModelError::Run { graph: ENCODER, problem };
+                let (_, codes) =
+                    value.try_extract_tensor::<i64>().map_err(|e| wrong(one_line(&e)))?;
                 codes
                     .iter()
                     .map(|&code| u32::try_from(code).map_err(|e| wrong(one_line(&e))))

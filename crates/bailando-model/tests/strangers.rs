@@ -1,10 +1,7 @@
 //! Model directories from strangers: nothing outside of the folder is read, nothing is allocated
 //! because a file says so, and nothing takes forever.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "tests stop where something is not as it should be"
-)]
+#![allow(clippy::unwrap_used, reason = "tests stop where something is not as it should be")]
 
 #[path = "strangers/onnx.rs"]
 mod onnx;
@@ -33,10 +30,7 @@ impl Stranger {
         let path = bailando_testkit::project("models/default/manifest.json");
         let mut manifest: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
         manifest["files"] = json!({});
-        let mut new = Self {
-            outer: tempfile::tempdir().unwrap(),
-            manifest,
-        };
+        let mut new = Self { outer: tempfile::tempdir().unwrap(), manifest };
         fs::create_dir(new.folder()).unwrap();
         fs::write(new.outside(), SECRET).unwrap();
         for name in GRAPHS {
@@ -89,24 +83,12 @@ fn names_that_lead_elsewhere_are_refused() {
     assert!(Stranger::new().open().is_ok());
     let absolute = Stranger::new().outside();
     let absolute = absolute.to_str().unwrap();
-    for name in [
-        "../outside",
-        absolute,
-        "a/../../outside",
-        "..",
-        "a\\b",
-        "c:x",
-        ".x",
-        "",
-    ] {
+    for name in ["../outside", absolute, "a/../../outside", "..", "a\\b", "c:x", ".x", ""] {
         let mut stranger = Stranger::new();
         stranger.list(name, SECRET);
         let error = stranger.refusal();
         assert!(matches!(error, ModelError::Manifest { .. }), "{error}");
-        assert!(
-            error.to_string().contains("not a plain file name"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("not a plain file name"), "{error}");
     }
 }
 
@@ -196,10 +178,7 @@ fn declared_sizes_are_bounded() {
         let (section, field) = pointer.rsplit_once('/').unwrap();
         stranger.manifest.pointer_mut(section).unwrap()[field] = value.clone();
         let error = stranger.refusal();
-        assert!(
-            matches!(error, ModelError::Manifest { .. }),
-            "{pointer}: {error}"
-        );
+        assert!(matches!(error, ModelError::Manifest { .. }), "{pointer}: {error}");
     }
 }
 

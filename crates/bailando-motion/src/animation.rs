@@ -22,11 +22,7 @@ pub struct Animation {
 impl Animation {
     /// Creates an animation without frames.
     pub(crate) fn empty(fps: u32) -> Self {
-        Self {
-            fps,
-            root: Vec::new(),
-            rotations: Vec::new(),
-        }
+        Self { fps, root: Vec::new(), rotations: Vec::new() }
     }
 }
 
@@ -60,12 +56,8 @@ impl FrameQueue for Positions {
         if self.is_empty() {
             *self = more;
         } else {
-            #[expect(
-                clippy::expect_used,
-                reason = "one solver checks the joints of all pieces"
-            )]
-            self.append(Axis(0), more.view())
-                .expect("all frames of a motion have the same joints");
+            #[expect(clippy::expect_used, reason = "one solver checks the joints of all pieces")]
+            self.append(Axis(0), more.view()).expect("all frames of a motion have the same joints");
         }
     }
 
@@ -86,11 +78,7 @@ impl FrameQueue for Positions {
 }
 
 fn take_first<T>(all: &mut Vec<T>, count: usize) -> Vec<T> {
-    if count == all.len() {
-        mem::take(all)
-    } else {
-        all.drain(..count).collect()
-    }
+    if count == all.len() { mem::take(all) } else { all.drain(..count).collect() }
 }
 
 /// Reads one joint's position, x y z in metres.

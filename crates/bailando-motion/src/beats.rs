@@ -50,9 +50,7 @@ pub fn slow_share(speed: &[f64], frames_per_second: f64) -> f64 {
 pub fn dance_beats(speed: &[f64]) -> Vec<usize> {
     let smooth = smoothed(speed);
     let minimum = |at: &usize| smooth[at - 1] > smooth[*at] && smooth[*at] < smooth[at + 1];
-    (1..smooth.len().saturating_sub(1))
-        .filter(minimum)
-        .collect()
+    (1..smooth.len().saturating_sub(1)).filter(minimum).collect()
 }
 
 /// Smooths a speed with the Gaussian of [`dance_beats`]; the ends are mirrored (half-sample
@@ -161,9 +159,7 @@ mod tests {
 
     #[test]
     fn dance_beats_are_where_the_speed_is_least() {
-        let speed: Vec<f64> = (0..300)
-            .map(|t| 1.0 + (TAU * t as f64 / 60.0).cos())
-            .collect();
+        let speed: Vec<f64> = (0..300).map(|t| 1.0 + (TAU * t as f64 / 60.0).cos()).collect();
         assert_eq!(dance_beats(&speed), [30, 90, 150, 210, 270]);
         assert!(dance_beats(&[1.0; 50]).is_empty());
         assert!(dance_beats(&[]).is_empty());

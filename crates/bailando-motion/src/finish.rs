@@ -34,12 +34,7 @@ pub struct FinishOptions {
 
 impl Default for FinishOptions {
     fn default() -> Self {
-        Self {
-            fps: 60,
-            root_motion: true,
-            decoded_fps: 60,
-            start: [0.0; 2],
-        }
+        Self { fps: 60, root_motion: true, decoded_fps: 60, start: [0.0; 2] }
     }
 }
 
@@ -239,11 +234,7 @@ impl Finisher {
 
 impl<T: FrameQueue> Grounding<T> {
     fn new(floor: FloorTracker, frames: T) -> Self {
-        Self {
-            floor,
-            frames,
-            lifts: Vec::new(),
-        }
+        Self { floor, frames, lifts: Vec::new() }
     }
 
     fn push(&mut self, frames: T, heights: Vec<f32>) {
@@ -295,10 +286,7 @@ mod tests {
         let rows = ndarray::Array2::zeros((8, 72));
         let buffers = |finisher: &Finisher| {
             let decoder = finisher.decoder.as_ref().unwrap();
-            (
-                decoder.frames.as_ptr(),
-                finisher.animation.frames.root.as_ptr(),
-            )
+            (decoder.frames.as_ptr(), finisher.animation.frames.root.as_ptr())
         };
         let (mut moved, mut before) = ((0, 0), buffers(&finisher));
         for _ in 0..256 {
@@ -309,9 +297,6 @@ mod tests {
             before = now;
         }
         // A buffer that doubles when it is full moves 9 times on the way to 256 pushes.
-        assert!(
-            moved.0 <= 9 && moved.1 <= 9,
-            "buffers moved {moved:?} times"
-        );
+        assert!(moved.0 <= 9 && moved.1 <= 9, "buffers moved {moved:?} times");
     }
 }

@@ -45,11 +45,7 @@ pub(crate) fn best_rotation(pairs: impl Iterator<Item = (DVec3, DVec3)>, previou
         fallback = vector;
     }
     // A single admissible vector at right angles to `previous` projects to nothing.
-    if sum.length_squared() > 1e-12 {
-        sum.normalize()
-    } else {
-        fallback.normalize()
-    }
+    if sum.length_squared() > 1e-12 { sum.normalize() } else { fallback.normalize() }
 }
 
 /// Returns eigenvalues and unit eigenvectors of a symmetric matrix, by cyclic Jacobi rotations.
@@ -127,11 +123,7 @@ pub(crate) fn smallest_rotation(
 
 /// Returns that quaternion of a rotation that lies nearer to `previous`.
 pub(crate) fn nearer_sign(rotation: DQuat, previous: DQuat) -> DQuat {
-    if rotation.dot(previous) < 0.0 {
-        -rotation
-    } else {
-        rotation
-    }
+    if rotation.dot(previous) < 0.0 { -rotation } else { rotation }
 }
 
 #[cfg(test)]
@@ -220,10 +212,7 @@ mod tests {
         let last = previous.unwrap();
         let smallest = DQuat::from_rotation_arc(rest, last * rest);
         let twist = angle_between(last, smallest);
-        assert!(
-            twist < 1e-6,
-            "back at rest the twist has been given back: {twist}"
-        );
+        assert!(twist < 1e-6, "back at rest the twist has been given back: {twist}");
     }
 
     #[test]

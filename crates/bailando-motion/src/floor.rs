@@ -89,9 +89,7 @@ pub fn floor_correction(heights: &[f32], fps: u32) -> Vec<f32> {
         }
         curve.correct(&errors);
     }
-    (0..heights.len())
-        .map(|frame| curve.at(frame as f64) as f32)
-        .collect()
+    (0..heights.len()).map(|frame| curve.at(frame as f64) as f32).collect()
 }
 
 /// Returns the quantile, interpolated linearly between neighbours; reorders `values`.
@@ -113,10 +111,7 @@ struct Curve {
 
 impl Curve {
     fn new(spans: usize, spacing: f64) -> Self {
-        Self {
-            knots: vec![0.0; spans + 1],
-            spacing,
-        }
+        Self { knots: vec![0.0; spans + 1], spacing }
     }
 
     fn correct(&mut self, errors: &[f64]) {
@@ -244,9 +239,8 @@ mod tests {
     fn rare_low_steps_do_not_lift_the_dancer_between_them() {
         // Feet rest at 3 cm and touch lower for a moment, at every distance.
         for distance in [40, 75, 100, 130, 150, 200] {
-            let heights: Vec<f32> = (0..30 * FPS)
-                .map(|i| if i % distance < 9 { 0.005 } else { 0.03 })
-                .collect();
+            let heights: Vec<f32> =
+                (0..30 * FPS).map(|i| if i % distance < 9 { 0.005 } else { 0.03 }).collect();
             let after = corrected(&heights);
             let highest = highest(&after);
             assert!(highest < 0.06, "every {distance} frames: {highest} m");

@@ -28,20 +28,12 @@ pub(crate) struct FloorTracker {
 impl FloorTracker {
     /// Creates a tracker that settles everything at the end.
     pub(crate) fn whole(fps: u32) -> Self {
-        Self {
-            fps,
-            streaming: false,
-            heights: Vec::new(),
-            lifts: Vec::new(),
-        }
+        Self { fps, streaming: false, heights: Vec::new(), lifts: Vec::new() }
     }
 
     /// Creates a tracker that settles each frame as early as possible.
     pub(crate) fn streaming(fps: u32) -> Self {
-        Self {
-            streaming: true,
-            ..Self::whole(fps)
-        }
+        Self { streaming: true, ..Self::whole(fps) }
     }
 
     fn frames(&self, seconds: f64) -> usize {

@@ -38,8 +38,7 @@ pub fn forward(skeleton: &Skeleton, animation: &Animation) -> Result<Positions, 
                     (position, (rotation * local).normalize())
                 }
             };
-            pose.row_mut(joint)
-                .assign(&aview1(&world[joint].0.to_array()));
+            pose.row_mut(joint).assign(&aview1(&world[joint].0.to_array()));
         }
     }
     Ok(positions)

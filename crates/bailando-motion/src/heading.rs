@@ -31,10 +31,7 @@ pub fn headings(positions: &Positions) -> Vec<f32> {
     let angles = frames.map(|pose| {
         let difference = |axis: usize| -> f32 {
             let at = |joint| pose.get([joint, axis]).copied().unwrap_or(0.0);
-            ACROSS
-                .iter()
-                .map(|&(left, right)| at(left) - at(right))
-                .sum()
+            ACROSS.iter().map(|&(left, right)| at(left) - at(right)).sum()
         };
         let (x, z) = (difference(0), difference(2));
         if x.hypot(z) >= SHORTEST {

@@ -47,10 +47,7 @@ impl InverseKinematics {
                 let offset = skeleton.offset(joint).as_dvec3();
                 bones[parent].children.push((joint, offset));
             }
-            bones.push(Bone {
-                parent,
-                children: Vec::new(),
-            });
+            bones.push(Bone { parent, children: Vec::new() });
         }
         Ok(Self { bones })
     }
@@ -141,9 +138,7 @@ impl Solution {
                 _ => previous,
             },
             children => {
-                let pairs = children
-                    .iter()
-                    .map(|&(child, offset)| (offset, seen(child)));
+                let pairs = children.iter().map(|&(child, offset)| (offset, seen(child)));
                 best_rotation(pairs, previous)
             }
         };

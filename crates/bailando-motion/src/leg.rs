@@ -73,12 +73,7 @@ impl Leg {
         let is_leg = !above.is_empty()
             && joints[..3].iter().all(|&joint| children(joint) == 1)
             && [thigh, shank, sole].iter().all(|&l| l > SHORTEST_BONE);
-        is_leg.then_some(Self {
-            above,
-            joints,
-            offsets,
-            bones: TwoBones { thigh, shank },
-        })
+        is_leg.then_some(Self { above, joints, offsets, bones: TwoBones { thigh, shank } })
     }
 
     /// Returns the height of the decoder's foot, metres.
@@ -195,10 +190,7 @@ impl Leg {
         let Some(carried) = carried else {
             return side;
         };
-        let angle = carried
-            .cross(side)
-            .dot(target.axis)
-            .atan2(carried.dot(side));
+        let angle = carried.cross(side).dot(target.axis).atan2(carried.dot(side));
         // A leg of the decoder's lengths copies its knee, however fast that turns.
         let permitted = max_turn * off / more.max(SHORTEST_BONE);
         if angle.abs() <= permitted {
@@ -265,10 +257,7 @@ mod tests {
         let next = leg.knee_side(&half_turn, Some(ahead), 0.2);
         assert!((next.angle_between(ahead) - 0.2).abs() < 1e-9);
         // A knee of the decoder's own bend is copied at once.
-        let copied = Target {
-            bend: DVec3::NEG_Z * leg.bones.knee(0.6).0,
-            ..half_turn
-        };
+        let copied = Target { bend: DVec3::NEG_Z * leg.bones.knee(0.6).0, ..half_turn };
         assert!(leg.knee_side(&copied, Some(ahead), 0.2).z < -0.99);
     }
 }

@@ -26,10 +26,7 @@ impl Legs {
     /// Finds the legs of a valid skeleton; one without such chains has none.
     pub(crate) fn new(skeleton: &Skeleton) -> Self {
         let feet = skeleton.foot_joints().into_iter();
-        Self(
-            feet.filter_map(|foot| Leg::above_foot(skeleton, foot))
-                .collect(),
-        )
+        Self(feet.filter_map(|foot| Leg::above_foot(skeleton, foot)).collect())
     }
 
     /// Starts to fit the legs of one motion at `fps`.
@@ -199,10 +196,7 @@ mod tests {
             assert!(furthest(&shrinking, &posed, joint) < 1e-4, "joint {joint}");
         }
         for joint in [4, 5] {
-            let path: Vec<_> = posed
-                .outer_iter()
-                .map(|pose| position(pose.row(joint)))
-                .collect();
+            let path: Vec<_> = posed.outer_iter().map(|pose| position(pose.row(joint))).collect();
             assert!(path[30].z > path[0].z + 0.2, "the knee goes forwards");
             for pair in path.windows(2) {
                 assert!((pair[1] - pair[0]).length() < 0.06);

@@ -113,9 +113,7 @@ mod tests {
         Animation {
             fps: 60,
             root: (0..frames).map(|i| Vec3::X * seconds(i)).collect(),
-            rotations: (0..frames)
-                .map(|i| vec![Quat::from_rotation_y(3.0 * seconds(i))])
-                .collect(),
+            rotations: (0..frames).map(|i| vec![Quat::from_rotation_y(3.0 * seconds(i))]).collect(),
         }
     }
 
@@ -164,10 +162,7 @@ mod tests {
     #[test]
     fn other_rates_are_refused() {
         for got in [0, 1, 25, 59, 120] {
-            assert_eq!(
-                resample(&turning(10), got),
-                Err(MotionError::FrameRate { got })
-            );
+            assert_eq!(resample(&turning(10), got), Err(MotionError::FrameRate { got }));
         }
     }
 }

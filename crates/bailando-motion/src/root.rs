@@ -89,10 +89,7 @@ mod tests {
         let mut poisoned = Array2::zeros((4, 72));
         poisoned[[2, 31]] = f32::NAN;
         let (frame, joint) = (2, 10);
-        assert_eq!(
-            integrated(&poisoned),
-            Err(MotionError::NotFinite { frame, joint })
-        );
+        assert_eq!(integrated(&poisoned), Err(MotionError::NotFinite { frame, joint }));
         let overflow = integrated(&Array2::from_elem((4, 6), f32::MAX));
         assert!(matches!(overflow, Err(MotionError::NotFinite { .. })));
     }

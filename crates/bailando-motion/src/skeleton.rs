@@ -93,9 +93,7 @@ impl Skeleton {
             }
         }
         let lowest = heights.iter().copied().fold(f32::INFINITY, f32::min);
-        (0..heights.len())
-            .filter(|&joint| heights[joint] <= lowest + FOOT_HEIGHT)
-            .collect()
+        (0..heights.len()).filter(|&joint| heights[joint] <= lowest + FOOT_HEIGHT).collect()
     }
 
     /// Returns the skeleton of the motion that models are trained on.

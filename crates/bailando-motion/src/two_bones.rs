@@ -54,10 +54,7 @@ pub(crate) fn perpendicular(vector: DVec3, axis: DVec3) -> DVec3 {
 mod tests {
     use super::*;
 
-    const LEG: TwoBones = TwoBones {
-        thigh: 0.39,
-        shank: 0.42,
-    };
+    const LEG: TwoBones = TwoBones { thigh: 0.39, shank: 0.42 };
 
     #[test]
     fn a_distance_within_reach_is_reached_with_both_lengths_kept() {

@@ -44,11 +44,8 @@ impl Corpus {
             assert!(accepted || !name.starts_with("good-"), "{name} is refused");
             assert!(!accepted || !name.starts_with("bad-"), "{name} is accepted");
         }
-        let config = ProptestConfig {
-            cases,
-            failure_persistence: None,
-            ..ProptestConfig::default()
-        };
+        let config =
+            ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() };
         let mutants = (any::<Index>(), prop::collection::vec(edit(), 1..8));
         let tried = TestRunner::new(config).run(&mutants, |(which, edits)| {
             let (_, bytes) = which.get(&self.files);
@@ -64,11 +61,7 @@ impl Corpus {
 }
 
 fn edit() -> impl Strategy<Value = Edit> {
-    let size = prop_oneof![
-        any::<u64>(),
-        (0..64_u32).prop_map(|bits| 1 << bits),
-        Just(u64::MAX)
-    ];
+    let size = prop_oneof![any::<u64>(), (0..64_u32).prop_map(|bits| 1 << bits), Just(u64::MAX)];
     prop_oneof![
         (any::<Index>(), any::<u8>()).prop_map(|(at, byte)| Edit::Set(at, byte)),
         (any::<Index>(), 0..8_u8).prop_map(|(at, bit)| Edit::Flip(at, 1 << bit)),

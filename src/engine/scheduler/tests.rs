@@ -48,10 +48,7 @@ struct Asked {
 
 fn asked(seed: u64, codes: usize) -> Asked {
     Asked {
-        options: GenerationOptions {
-            seed: Some(seed),
-            ..GenerationOptions::default()
-        },
+        options: GenerationOptions { seed: Some(seed), ..GenerationOptions::default() },
         codes,
         value: seed as f32,
         beats: Vec::new(),
@@ -191,10 +188,7 @@ fn sequences_side_by_side_are_those_that_each_gets_alone() {
         }
         let steps = &together.script.lock().steps;
         assert!(steps.iter().all(|&step| step <= rows));
-        assert!(
-            steps.iter().any(|&step| step + 1 >= rows.min(6)),
-            "{steps:?}"
-        );
+        assert!(steps.iter().any(|&step| step + 1 >= rows.min(6)), "{steps:?}");
     }
 }
 
@@ -204,10 +198,7 @@ fn a_seed_decides_and_a_continuation_begins_with_its_prompt() {
     assert_eq!(first.codes, Harness::alone(asked(1, 30)).codes);
     assert_ne!(first.codes, Harness::alone(asked(2, 30)).codes);
     assert_eq!(first.codes.upper.len(), 30);
-    let before = Codes {
-        upper: vec![3, 4, 5],
-        lower: vec![6, 7, 8],
-    };
+    let before = Codes { upper: vec![3, 4, 5], lower: vec![6, 7, 8] };
     let mut next = asked(1, 30);
     next.options.continue_from = Some(Continuation::new("00", before, [1.0, 2.0], 0.5));
     let next = Harness::alone(next);
@@ -228,10 +219,7 @@ fn a_dropped_request_takes_no_further_step() {
     assert_eq!(harness.script.lock().steps.last(), Some(&1));
     harness.finish();
     // The rows of the one that stays have moved up: its codes say whether they were right.
-    assert_eq!(
-        kept.wait().unwrap().codes,
-        Harness::alone(asked(1, 40)).codes
-    );
+    assert_eq!(kept.wait().unwrap().codes, Harness::alone(asked(1, 40)).codes);
     assert_eq!(harness.script.lock().steps.len(), 39);
 }
 
@@ -243,16 +231,10 @@ fn a_long_sequence_does_not_block_a_short_one() {
     harness.steps(5);
     let short = harness.add(asked(2, 60));
     harness.steps(200);
-    assert_eq!(
-        short.wait().unwrap().codes,
-        Harness::alone(asked(2, 60)).codes
-    );
+    assert_eq!(short.wait().unwrap().codes, Harness::alone(asked(2, 60)).codes);
     assert!(!harness.scheduler.is_idle());
     harness.finish();
-    assert_eq!(
-        long.wait().unwrap().codes,
-        Harness::alone(asked(1, 400)).codes
-    );
+    assert_eq!(long.wait().unwrap().codes, Harness::alone(asked(1, 400)).codes);
 }
 
 /// Nothing is preempted for a request that would not fit all the same, and smaller ones that fit do
@@ -269,11 +251,7 @@ fn smaller_requests_pass_a_wide_one_until_there_is_room_for_it() {
     let wide_one = harness.add(wide(3, 40, 4));
     let small = harness.add(asked(4, 10));
     harness.steps(1);
-    assert_eq!(
-        harness.running(),
-        [1, 2, 1],
-        "the small one fits, the wide one waits"
-    );
+    assert_eq!(harness.running(), [1, 2, 1], "the small one fits, the wide one waits");
     harness.steps(10);
     assert_eq!(small.wait().unwrap().codes.upper.len(), 10);
     // A stream of small ones does not keep the wide one waiting for ever.
@@ -283,10 +261,7 @@ fn smaller_requests_pass_a_wide_one_until_there_is_room_for_it() {
         small_ones.push(harness.add(asked(5, 10)));
         harness.steps(1);
         steps += 1;
-        assert!(
-            steps < 2 * MOST_PASSED_OVER + 30,
-            "the wide one never starts"
-        );
+        assert!(steps < 2 * MOST_PASSED_OVER + 30, "the wide one never starts");
     }
     harness.finish();
     for (generation, codes) in [(narrow, 400), (other, 400), (wide_one, 40)] {
@@ -309,10 +284,7 @@ fn a_failed_step_says_why_and_the_next_request_succeeds() {
     assert_eq!(harness.observer.0.load(Ordering::SeqCst), 1);
     let next = harness.add(asked(3, 40));
     harness.finish();
-    assert_eq!(
-        next.wait().unwrap().codes,
-        Harness::alone(asked(3, 40)).codes
-    );
+    assert_eq!(next.wait().unwrap().codes, Harness::alone(asked(3, 40)).codes);
 }
 
 /// Panics at its third code.
@@ -337,22 +309,13 @@ fn a_request_fails_alone() {
     harness.script.lock().no_numbers = Some(4.0);
     harness.finish();
     let panicked = panics.wait().unwrap_err();
-    assert!(
-        matches!(panicked, EngineError::Panicked { .. }),
-        "{panicked:?}"
-    );
+    assert!(matches!(panicked, EngineError::Panicked { .. }), "{panicked:?}");
     for failed in [no_prefill, no_numbers] {
         let failed = failed.wait().unwrap_err();
         assert!(matches!(failed, EngineError::Model(_)), "{failed:?}");
     }
-    assert_eq!(
-        before.wait().unwrap().codes,
-        Harness::alone(wide(1, 50, 2)).codes
-    );
-    assert_eq!(
-        after.wait().unwrap().codes,
-        Harness::alone(asked(5, 50)).codes
-    );
+    assert_eq!(before.wait().unwrap().codes, Harness::alone(wide(1, 50, 2)).codes);
+    assert_eq!(after.wait().unwrap().codes, Harness::alone(asked(5, 50)).codes);
 }
 
 #[test]

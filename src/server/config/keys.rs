@@ -63,10 +63,7 @@ pub enum KeysError {
 /// Reads the keys in a file, one a line.
 pub(super) fn read(path: &Path) -> Result<Vec<ApiKey>, KeysError> {
     let named = || path.display().to_string();
-    let failed = |source| KeysError::Read {
-        path: named(),
-        source,
-    };
+    let failed = |source| KeysError::Read { path: named(), source };
     let length = fs::metadata(path).map_err(failed)?.len();
     if length > LONGEST_FILE {
         return Err(KeysError::None { path: named() });

@@ -195,10 +195,7 @@ impl Limits {
         }
         let body = self.largest_body();
         if self.upload_memory < body {
-            return Err(LimitsError::UploadMemory {
-                memory: self.upload_memory,
-                body,
-            });
+            return Err(LimitsError::UploadMemory { memory: self.upload_memory, body });
         }
         let (in_flight, longest) = (self.audio_seconds_in_flight, self.max_audio_seconds);
         if in_flight < longest {

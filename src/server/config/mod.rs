@@ -52,12 +52,7 @@ pub struct ServerConfig {
     pub limits: Limits,
     /// Key that callers must send, as `Authorization: Bearer KEY` or `X-API-Key: KEY`; several with
     /// commas. Probes, metrics and documentation need none [default: no key is required]
-    #[arg(
-        long,
-        env = "BAILANDO_API_KEY",
-        hide_env_values = true,
-        value_delimiter = ','
-    )]
+    #[arg(long, env = "BAILANDO_API_KEY", hide_env_values = true, value_delimiter = ',')]
     pub api_key: Vec<ApiKey>,
     /// File of API keys, one a line, in addition to --api-key
     #[arg(long, env = "BAILANDO_API_KEY_FILE")]
@@ -107,10 +102,7 @@ impl ServerConfig {
         if let Some(path) = &self.api_key_file {
             keys.extend(keys::read(path)?);
         }
-        Ok(Access {
-            keys,
-            origins: self.cors_allow_origin.clone(),
-        })
+        Ok(Access { keys, origins: self.cors_allow_origin.clone() })
     }
 
     /// Returns the engine's part of the settings.
@@ -191,29 +183,17 @@ mod tests {
     #[test]
     fn the_bounds_of_a_range_are_in_order() {
         assert_eq!(Limits::default().check(), Ok(()));
-        let limits = Limits {
-            min_audio_seconds: 10.0,
-            max_audio_seconds: 5.0,
-            ..Limits::default()
-        };
+        let limits =
+            Limits { min_audio_seconds: 10.0, max_audio_seconds: 5.0, ..Limits::default() };
         assert_eq!(
             limits.check().unwrap_err().to_string(),
             "--min-audio-seconds 10 must not be above --max-audio-seconds 5"
         );
-        let limits = Limits {
-            max_audio_seconds: f64::NAN,
-            ..Limits::default()
-        };
+        let limits = Limits { max_audio_seconds: f64::NAN, ..Limits::default() };
         assert!(limits.check().is_err());
-        let limits = Limits {
-            min_sample_rate: 48_000,
-            max_sample_rate: 44_100,
-            ..Limits::default()
-        };
-        assert!(matches!(
-            limits.check(),
-            Err(LimitsError::SampleRate { .. })
-        ));
+        let limits =
+            Limits { min_sample_rate: 48_000, max_sample_rate: 44_100, ..Limits::default() };
+        assert!(matches!(limits.check(), Err(LimitsError::SampleRate { .. })));
     }
 
     #[test]

@@ -29,14 +29,10 @@ impl FromStr for Origin {
     fn from_str(text: &str) -> Result<Self, String> {
         let text = text.trim().to_ascii_lowercase();
         let possible = text == "*" || is_origin(&text);
-        possible
-            .then(|| HeaderValue::try_from(text).ok())
-            .flatten()
-            .map(Self)
-            .ok_or_else(|| {
-                "give * or scheme://host[:port] without a path, such as https://dance.example"
-                    .to_owned()
-            })
+        possible.then(|| HeaderValue::try_from(text).ok()).flatten().map(Self).ok_or_else(|| {
+            "give * or scheme://host[:port] without a path, such as https://dance.example"
+                .to_owned()
+        })
     }
 }
 

@@ -25,10 +25,7 @@ pub(crate) struct Gate {
 
 impl Gate {
     pub(crate) fn new(access: &Access, limits: &Limits) -> Self {
-        Self {
-            keys: access.keys.clone(),
-            rates: Rates::new(limits),
-        }
+        Self { keys: access.keys.clone(), rates: Rates::new(limits) }
     }
 
     /// Requests without a known key have a bucket too: guessing keys is no faster than calling.
@@ -83,9 +80,7 @@ fn sent_key(headers: &HeaderMap) -> Option<&[u8]> {
     }
     let value = headers.get(header::AUTHORIZATION)?.as_bytes();
     let (scheme, key) = value.split_at_checked(SCHEME.len())?;
-    scheme
-        .eq_ignore_ascii_case(SCHEME)
-        .then(|| key.trim_ascii())
+    scheme.eq_ignore_ascii_case(SCHEME).then(|| key.trim_ascii())
 }
 
 #[cfg(test)]
@@ -95,10 +90,7 @@ mod tests {
     use super::*;
 
     fn request(name: &str, value: &str) -> Request {
-        Request::builder()
-            .header(name, value)
-            .body(Body::empty())
-            .unwrap()
+        Request::builder().header(name, value).body(Body::empty()).unwrap()
     }
 
     #[test]
@@ -112,9 +104,6 @@ mod tests {
         for (name, value) in [("authorization", "Basic one"), ("cookie", "one")] {
             assert!(matches!(who(name, value), Err(ServerError::KeyMissing)));
         }
-        assert_eq!(
-            identify(&[], &request("x-api-key", "any")).unwrap(),
-            Client::Unknown
-        );
+        assert_eq!(identify(&[], &request("x-api-key", "any")).unwrap(), Client::Unknown);
     }
 }

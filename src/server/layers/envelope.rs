@@ -51,12 +51,10 @@ pub(crate) fn wrap(router: Router, metrics: SharedMetrics) -> Router {
                     .on_failure(()),
             )
             .layer(middleware::from_fn_with_state(metrics, finish))
-            .layer(CatchPanicLayer::custom(
-                move |panic: Box<dyn Any + Send>| {
-                    panics.panicked("handler");
-                    answer_panic(panic.as_ref())
-                },
-            )),
+            .layer(CatchPanicLayer::custom(move |panic: Box<dyn Any + Send>| {
+                panics.panicked("handler");
+                answer_panic(panic.as_ref())
+            })),
     )
 }
 
@@ -65,15 +63,9 @@ fn drop_odd_request_id(mut request: Request) -> Request {
     let sane = |id: &HeaderValue| {
         let id = id.as_bytes();
         (1..=LONGEST_REQUEST_ID).contains(&id.len())
-            && id
-                .iter()
-                .all(|b| b.is_ascii_alphanumeric() || b"-_.:/+=".contains(b))
+            && id.iter().all(|b| b.is_ascii_alphanumeric() || b"-_.:/+=".contains(b))
     };
-    if request
-        .headers()
-        .get(REQUEST_ID)
-        .is_some_and(|id| !sane(id))
-    {
+    if request.headers().get(REQUEST_ID).is_some_and(|id| !sane(id)) {
         request.headers_mut().remove(REQUEST_ID);
     }
     request
@@ -113,11 +105,8 @@ async fn finish(
     let started = Instant::now();
     let id = request_id(&request).to_owned();
     let method = method_name(request.method());
-    let route = request
-        .extensions()
-        .get::<MatchedPath>()
-        .map_or("other", MatchedPath::as_str)
-        .to_owned();
+    let route =
+        request.extensions().get::<MatchedPath>().map_or("other", MatchedPath::as_str).to_owned();
     let mut response = next.run(request).await;
     let status = response.status().as_u16();
     metrics.answered(&route, method, status, started.elapsed());
@@ -188,9 +177,6 @@ mod tests {
         let answer = app.oneshot(Request::new(Body::empty())).await.unwrap();
         assert_eq!(answer.status(), StatusCode::INTERNAL_SERVER_ERROR);
         let text = metrics.text().unwrap();
-        assert!(
-            text.contains("bailando_panics_total{place=\"handler\"} 1"),
-            "{text}"
-        );
+        assert!(text.contains("bailando_panics_total{place=\"handler\"} 1"), "{text}");
     }
 }

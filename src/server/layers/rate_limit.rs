@@ -52,9 +52,7 @@ impl Rates {
 
 impl std::fmt::Debug for Rates {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Rates")
-            .field("per_minute", &self.per_minute)
-            .finish_non_exhaustive()
+        f.debug_struct("Rates").field("per_minute", &self.per_minute).finish_non_exhaustive()
     }
 }
 

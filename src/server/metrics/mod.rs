@@ -138,11 +138,7 @@ impl Metrics {
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("model", self.model.get().cloned().unwrap_or_default()),
         ];
-        info.register(
-            "build",
-            "Version and model of this server",
-            Info::new(build),
-        );
+        info.register("build", "Version and model of this server", Info::new(build));
         prometheus_client::encoding::text::encode_registry(&mut text, &info)?;
         encode(&mut text, &self.registry)?;
         Ok(text)
@@ -186,9 +182,7 @@ impl Metrics {
     }
 
     pub(crate) fn stage(&self, stage: &'static str, time: Duration) {
-        self.stage_duration
-            .get_or_create(&[("stage", stage)])
-            .observe(time.as_secs_f64());
+        self.stage_duration.get_or_create(&[("stage", stage)]).observe(time.as_secs_f64());
     }
 
     pub(crate) fn cancelled(&self, phase: &'static str, took: Duration) {

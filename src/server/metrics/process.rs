@@ -45,22 +45,10 @@ impl Collector for ProcessCollector {
         )?;
         cpu.encode(described)?;
         for (name, help, value) in [
-            (
-                "process_resident_memory_bytes",
-                "Memory of the process",
-                figures.resident_bytes,
-            ),
-            (
-                "process_open_fds",
-                "Open file descriptors",
-                figures.open_fds,
-            ),
+            ("process_resident_memory_bytes", "Memory of the process", figures.resident_bytes),
+            ("process_open_fds", "Open file descriptors", figures.open_fds),
             ("process_threads", "Threads", figures.threads),
-            (
-                "process_start_time_seconds",
-                "Start of the process since 1970",
-                figures.started,
-            ),
+            ("process_start_time_seconds", "Start of the process since 1970", figures.started),
         ] {
             let gauge = ConstGauge::new(value);
             let described = encoder.encode_descriptor(name, help, None, gauge.metric_type())?;
@@ -75,10 +63,8 @@ impl ProcessCollector {
         let stat = fs::read_to_string("/proc/self/stat").ok()?;
         // The name in parentheses may hold spaces.
         let (_, fields) = stat.rsplit_once(") ")?;
-        let fields: Vec<f64> = fields
-            .split_whitespace()
-            .map(|field| field.parse().unwrap_or_default())
-            .collect();
+        let fields: Vec<f64> =
+            fields.split_whitespace().map(|field| field.parse().unwrap_or_default()).collect();
         // Numbered as in proc_pid_stat(5), which counts the two before.
         let field = |number: usize| fields.get(number - 3).copied();
         let start_ticks = field(22)?;
@@ -87,9 +73,7 @@ impl ProcessCollector {
             resident_bytes: memory_bytes("VmRSS:")? as f64,
             open_fds: fs::read_dir("/proc/self/fd").ok()?.count() as f64,
             threads: field(20)?,
-            started: (*self
-                .started
-                .get_or_init(|| Some(booted()? + start_ticks / TICKS)))?,
+            started: (*self.started.get_or_init(|| Some(booted()? + start_ticks / TICKS)))?,
         })
     }
 }

@@ -74,10 +74,7 @@ impl Admission {
     }
 
     fn queue_full(&self) -> ServerError {
-        ServerError::QueueFull {
-            queue: self.queue.capacity(),
-            retry_after: self.retry_after(),
-        }
+        ServerError::QueueFull { queue: self.queue.capacity(), retry_after: self.retry_after() }
     }
 
     /// When a new request would probably find a place: the length of the queue times the median
@@ -115,11 +112,8 @@ mod tests {
     use super::*;
 
     fn admission() -> Arc<Admission> {
-        let limits = Limits {
-            max_concurrent_requests: NonZeroUsize::MIN,
-            queue: 1,
-            ..Limits::default()
-        };
+        let limits =
+            Limits { max_concurrent_requests: NonZeroUsize::MIN, queue: 1, ..Limits::default() };
         Arc::new(Admission::new(&limits, SharedMetrics::default()))
     }
 
@@ -135,10 +129,7 @@ mod tests {
             tokio::task::yield_now().await;
         }
         assert!(admission.check_room().is_err());
-        assert!(matches!(
-            admission.admit().await,
-            Err(ServerError::QueueFull { queue: 1, .. })
-        ));
+        assert!(matches!(admission.admit().await, Err(ServerError::QueueFull { queue: 1, .. })));
         drop(first);
         assert!(second.await.unwrap().is_ok());
         assert_eq!(admission.queue.reserved(), 0);

@@ -108,12 +108,7 @@ impl Budget {
         let ledger = Arc::clone(&self.ledger);
         ledger.reservations.fetch_add(1, Ordering::SeqCst);
         ledger.gauge.inc_by(gauged(permit.num_permits()));
-        Reservation {
-            permit,
-            ledger,
-            since: Instant::now(),
-            measured: false,
-        }
+        Reservation { permit, ledger, since: Instant::now(), measured: false }
     }
 
     pub(crate) fn capacity(&self) -> usize {
@@ -245,11 +240,7 @@ mod tests {
         for _ in 0..=REMEMBERED {
             drop(budget.try_reserve(1).unwrap());
         }
-        assert_eq!(
-            budget.retry_after(1),
-            Seconds(FIRST_GUESS),
-            "none was measured"
-        );
+        assert_eq!(budget.retry_after(1), Seconds(FIRST_GUESS), "none was measured");
         for seconds in [1, 100, 6, 7, 2] {
             budget.ledger.remember(Duration::from_secs(seconds));
         }

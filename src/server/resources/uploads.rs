@@ -140,10 +140,7 @@ mod tests {
         second.bytes().add(40).unwrap();
         // Two reservations share the two seconds that one is assumed to last.
         assert_eq!(second.bytes().add(1), Err(Seconds::new(1)));
-        assert_eq!(
-            (metrics.uploads.get(), metrics.upload_bytes.get()),
-            (1, 100)
-        );
+        assert_eq!((metrics.uploads.get(), metrics.upload_bytes.get()), (1, 100));
         // Of which jobs may hold half.
         assert!(uploads.keep_for_job(&mut first).is_ok());
         assert!(matches!(

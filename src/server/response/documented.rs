@@ -42,9 +42,9 @@ fn error(status: u16) -> Response {
         .description(about(status))
         .content("application/json", reference(&ErrorBody::name()));
     match status {
-        429 | 503 => response
-            .header("retry-after", header(Type::Integer, "Seconds to wait."))
-            .build(),
+        429 | 503 => {
+            response.header("retry-after", header(Type::Integer, "Seconds to wait.")).build()
+        }
         _ => response.build(),
     }
 }
@@ -62,25 +62,14 @@ fn text() -> Content {
 fn header(kind: Type, about: &str) -> Header {
     let minimum = matches!(kind, Type::Integer).then_some(0);
     let schema = ObjectBuilder::new().schema_type(kind).minimum(minimum);
-    HeaderBuilder::new()
-        .schema(Some(schema))
-        .description(Some(about))
-        .build()
+    HeaderBuilder::new().schema(Some(schema)).description(Some(about)).build()
 }
 
 /// Headers of a result; those of a stream come first.
 const HEADERS: [(&str, Type, &str); 9] = [
     ("x-seed", INTEGER, "The seed of the generation."),
-    (
-        "x-queue-time",
-        NUMBER,
-        "Milliseconds until a worker is free.",
-    ),
-    (
-        "x-decode-time",
-        NUMBER,
-        "Milliseconds of decoding the audio.",
-    ),
+    ("x-queue-time", NUMBER, "Milliseconds until a worker is free."),
+    ("x-decode-time", NUMBER, "Milliseconds of decoding the audio."),
     ("x-feature-time", NUMBER, "Milliseconds of music features."),
     ("x-warnings", TEXT, WARNINGS),
     ("x-request-id", TEXT, "The id of the request."),

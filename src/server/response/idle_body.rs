@@ -44,22 +44,16 @@ pub(crate) fn from_bytes<G: Send + Sync + 'static>(
     idle_timeout: Duration,
     complete: impl FnOnce() + Send + 'static,
 ) -> Body {
-    let held = Bytes::from_owner(Guarded {
-        bytes,
-        _guard: guard,
+    let held = Bytes::from_owner(Guarded { bytes, _guard: guard });
+    let pieces = stream::unfold((held, Some(complete)), |(mut rest, mut complete)| async move {
+        let piece = rest.split_to(PIECE.min(rest.len()));
+        if rest.is_empty()
+            && let Some(complete) = complete.take()
+        {
+            complete();
+        }
+        (!piece.is_empty()).then_some((piece, (rest, complete)))
     });
-    let pieces = stream::unfold(
-        (held, Some(complete)),
-        |(mut rest, mut complete)| async move {
-            let piece = rest.split_to(PIECE.min(rest.len()));
-            if rest.is_empty()
-                && let Some(complete) = complete.take()
-            {
-                complete();
-            }
-            (!piece.is_empty()).then_some((piece, (rest, complete)))
-        },
-    );
     from_stream(pieces, idle_timeout)
 }
 
@@ -97,9 +91,7 @@ async fn watch(state: Arc<Mutex<State>>, idle_timeout: Duration) {
         let since = lock(&state).idle_since.unwrap_or_else(Instant::now);
         sleep_until(since + idle_timeout).await;
         let mut state = lock(&state);
-        let idle = state
-            .idle_since
-            .is_some_and(|since| since.elapsed() >= idle_timeout);
+        let idle = state.idle_since.is_some_and(|since| since.elapsed() >= idle_timeout);
         if idle {
             let abandoned = state.stream.take();
             drop(state);
@@ -189,9 +181,7 @@ mod tests {
     #[tokio::test]
     async fn an_unread_body_is_dropped_after_the_idle_timeout() {
         let guard = Arc::new(());
-        let mut body = from_bytes(bytes(), Arc::clone(&guard), SHORT, || {
-            panic!("not complete")
-        });
+        let mut body = from_bytes(bytes(), Arc::clone(&guard), SHORT, || panic!("not complete"));
         drop(next(&mut body).await);
         tokio::time::sleep(SHORT * 4).await;
         assert_eq!(Arc::strong_count(&guard), 1);

@@ -62,16 +62,12 @@ fn preferred(headers: &HeaderMap, ours: &[&str]) -> Result<usize, ServerError> {
             best = Some((quality, index));
         }
     }
-    best.map(|(_, index)| index)
-        .ok_or_else(|| ServerError::NotAcceptable {
-            asked: shorten(
-                headers
-                    .get(header::ACCEPT)
-                    .and_then(|value| value.to_str().ok())
-                    .unwrap_or_default(),
-            ),
-            available: ours.join(" and "),
-        })
+    best.map(|(_, index)| index).ok_or_else(|| ServerError::NotAcceptable {
+        asked: shorten(
+            headers.get(header::ACCEPT).and_then(|value| value.to_str().ok()).unwrap_or_default(),
+        ),
+        available: ours.join(" and "),
+    })
 }
 
 /// One media range with its quality.
@@ -163,10 +159,7 @@ mod tests {
         assert_eq!(lines("*/*"), Some(false));
         assert_eq!(lines("text/event-stream"), Some(false));
         assert_eq!(lines("application/x-ndjson"), Some(true));
-        assert_eq!(
-            lines("application/x-ndjson, text/event-stream;q=0.5"),
-            Some(true)
-        );
+        assert_eq!(lines("application/x-ndjson, text/event-stream;q=0.5"), Some(true));
         assert_eq!(lines("application/json"), None);
     }
 }

@@ -10,11 +10,7 @@ const LONGEST: usize = 200;
 
 /// Adds one header for each warning.
 pub(crate) fn append(headers: &mut HeaderMap, warnings: &[String]) {
-    let shown = if warnings.len() > MOST {
-        MOST - 1
-    } else {
-        warnings.len()
-    };
+    let shown = if warnings.len() > MOST { MOST - 1 } else { warnings.len() };
     let unshown = warnings.len() - shown;
     let rest = (unshown > 0).then(|| format!("and {unshown} more"));
     for warning in warnings.iter().take(shown).chain(&rest) {
@@ -27,10 +23,7 @@ pub(crate) fn append(headers: &mut HeaderMap, warnings: &[String]) {
 /// Printable ASCII: a warning may repeat what a file says about itself.
 fn plain(text: &str) -> String {
     let printable = |c: char| c == ' ' || c.is_ascii_graphic();
-    text.chars()
-        .map(|c| if printable(c) { c } else { '?' })
-        .take(LONGEST)
-        .collect()
+    text.chars().map(|c| if printable(c) { c } else { '?' }).take(LONGEST).collect()
 }
 
 #[cfg(test)]
@@ -41,9 +34,7 @@ mod tests {
         let mut headers = HeaderMap::new();
         append(&mut headers, warnings);
         let values = headers.get_all(WARNINGS).iter();
-        values
-            .map(|value| value.to_str().unwrap().to_owned())
-            .collect()
+        values.map(|value| value.to_str().unwrap().to_owned()).collect()
     }
 
     #[test]

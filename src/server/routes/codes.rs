@@ -121,10 +121,9 @@ async fn shown(state: &SharedState, [upper, lower]: [u32; 2]) -> Result<Vec<u8>,
 /// The engine knows the codes as those that a dance starts with.
 fn of_code(error: EngineError) -> ServerError {
     match error {
-        EngineError::Option { name, problem } => ServerError::Option {
-            name: name.trim_start_matches("start_").to_owned(),
-            problem,
-        },
+        EngineError::Option { name, problem } => {
+            ServerError::Option { name: name.trim_start_matches("start_").to_owned(), problem }
+        }
         other => other.into(),
     }
 }

@@ -94,10 +94,7 @@ impl Rendered {
             body,
             format,
             seed: dance.seed,
-            tail: dance
-                .continuation
-                .as_ref()
-                .map(crate::formats::Continuation::to_text),
+            tail: dance.continuation.as_ref().map(crate::formats::Continuation::to_text),
             timings: dance.timings,
             warnings: dance.warnings.clone(),
             room,
@@ -113,10 +110,7 @@ impl Rendered {
         taken: impl FnOnce() + Send + 'static,
     ) -> Response {
         let mut headers = HeaderMap::new();
-        headers.insert(
-            header::CONTENT_TYPE,
-            HeaderValue::from_static(self.format.content_type()),
-        );
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(self.format.content_type()));
         headers.insert(header::CONTENT_LENGTH, HeaderValue::from(self.body.len()));
         headers.insert(SEED, HeaderValue::from(self.seed));
         if let Some(tail) = self.tail.and_then(|tail| HeaderValue::try_from(tail).ok()) {

@@ -65,9 +65,8 @@ pub(crate) async fn serve(
             request.extensions_mut().insert(Peer(peer));
             router.clone().oneshot(request.map(Body::new))
         });
-        let connection = builder
-            .serve_connection(io, TowerToHyperService::new(service))
-            .into_owned();
+        let connection =
+            builder.serve_connection(io, TowerToHyperService::new(service)).into_owned();
         let connection = connections.watch(connection);
         tokio::spawn(async move {
             // Failures of a connection concern its client alone.

@@ -52,9 +52,7 @@ impl IdleTimeoutStream {
             return written;
         }
         let timeout = self.write_timeout;
-        let deadline = self
-            .write_deadline
-            .get_or_insert_with(|| Box::pin(sleep(timeout)));
+        let deadline = self.write_deadline.get_or_insert_with(|| Box::pin(sleep(timeout)));
         ready!(deadline.as_mut().poll(context));
         Poll::Ready(Err(io::ErrorKind::TimedOut.into()))
     }
@@ -68,9 +66,7 @@ impl AsyncRead for IdleTimeoutStream {
     ) -> Poll<io::Result<()>> {
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(context, buffer);
-        self.preface_left = self
-            .preface_left
-            .saturating_sub(buffer.filled().len() - before);
+        self.preface_left = self.preface_left.saturating_sub(buffer.filled().len() - before);
         if read.is_pending() && self.preface_left > 0 {
             ready!(self.preface_deadline.as_mut().poll(context));
             return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));

@@ -108,11 +108,7 @@ pub async fn run(
     stop: impl Stream<Item = ()>,
 ) -> Result<(), ServeError> {
     let address = listener.local_addr().map_err(ServeError::Listen)?;
-    let Service {
-        limits,
-        access,
-        metrics,
-    } = service;
+    let Service { limits, access, metrics } = service;
     let state = ServerState::loading(limits, metrics);
     // A stream that ends gives no more signals.
     let mut stop = pin!(stop.chain(stream::pending()));
@@ -216,11 +212,9 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
     let result = runtime.block_on(async {
         // First, so that a process that is told to stop while it starts also ends cleanly.
         let signals = Signals::install().map_err(ServeError::Signals)?;
-        let listener = TcpListener::bind((config.host.as_str(), config.port))
-            .await
-            .map_err(|source| ServeError::Bind {
-                address: format!("{}:{}", config.host, config.port),
-                source,
+        let listener =
+            TcpListener::bind((config.host.as_str(), config.port)).await.map_err(|source| {
+                ServeError::Bind { address: format!("{}:{}", config.host, config.port), source }
             })?;
         let load = open(config.engine(Arc::clone(&service.metrics) as _));
         run(service, load, listener, signals.stream()).await

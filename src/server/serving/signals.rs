@@ -30,16 +30,12 @@ impl Signals {
 
     #[cfg(windows)]
     pub(super) fn install() -> io::Result<Self> {
-        Ok(Self {
-            interrupt: ctrl_c()?,
-        })
+        Ok(Self { interrupt: ctrl_c()? })
     }
 
     /// Gives one item for every signal.
     pub(super) fn stream(self) -> impl Stream<Item = ()> + Send {
-        stream::unfold(self, |mut signals| async {
-            signals.next().await.map(|()| ((), signals))
-        })
+        stream::unfold(self, |mut signals| async { signals.next().await.map(|()| ((), signals)) })
     }
 
     async fn next(&mut self) -> Option<()> {

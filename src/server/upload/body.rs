@@ -50,13 +50,7 @@ pub(crate) struct IncomingBody {
 impl IncomingBody {
     pub(crate) fn new(body: Body) -> Self {
         let ended = body.is_end_stream();
-        Self {
-            declared: body.size_hint().exact(),
-            body,
-            left: u64::MAX,
-            ended,
-            held: None,
-        }
+        Self { declared: body.size_hint().exact(), body, left: u64::MAX, ended, held: None }
     }
 
     /// The length that the sender declared.

@@ -30,11 +30,7 @@ pub(crate) struct FormBody {
 
 impl FormBody {
     pub(crate) fn new(body: IncomingBody) -> Self {
-        Self {
-            body,
-            rest: Bytes::new(),
-            kept: Arc::default(),
-        }
+        Self { body, rest: Bytes::new(), kept: Arc::default() }
     }
 
     /// The count of what the parser keeps, for the reader of the parts.

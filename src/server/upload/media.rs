@@ -76,9 +76,6 @@ mod tests {
         assert_eq!(of("multipart/mixed; boundary=x"), None);
         assert_eq!(of("application/json"), None);
         assert_eq!(media(header::CONTENT_ENCODING, "gzip"), None);
-        assert_eq!(
-            media(header::CONTENT_ENCODING, "identity"),
-            Some(Media::Raw)
-        );
+        assert_eq!(media(header::CONTENT_ENCODING, "identity"), Some(Media::Raw));
     }
 }

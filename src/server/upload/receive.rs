@@ -55,17 +55,12 @@ pub(crate) async fn receive(
     limits: &Limits,
     reservation: &mut UploadReservation,
 ) -> Result<Upload, ServerError> {
-    let body = body
-        .limited(most_bytes(media, limits))
-        .counted(reservation.bytes());
+    let body = body.limited(most_bytes(media, limits)).counted(reservation.bytes());
     let upload = match media {
         Media::Raw => {
             let mut audio = AudioBuffer::new(limits, body.declared());
             collect(&mut audio, body, |error| body_error(&error, limits)).await?;
-            Upload {
-                audio: audio.finish()?,
-                options,
-            }
+            Upload { audio: audio.finish()?, options }
         }
         Media::Form => receive_form(parts, body, options, limits).await?,
     };
@@ -98,11 +93,7 @@ async fn receive_form(
         .await
         .map_err(|rejection| ServerError::Multipart(rejection.body_text()))?;
     let mut audio: Option<Bytes> = None;
-    while let Some(field) = form
-        .next_field()
-        .await
-        .map_err(|error| form_error(&error, limits))?
-    {
+    while let Some(field) = form.next_field().await.map_err(|error| form_error(&error, limits))? {
         kept.delivered(0);
         let name = field.name().unwrap_or_default().to_owned();
         if name == "file" {
@@ -120,10 +111,7 @@ async fn receive_form(
             options.set(&name, &value)?;
         }
     }
-    Ok(Upload {
-        audio: audio.ok_or(ServerError::MissingAudio)?,
-        options,
-    })
+    Ok(Upload { audio: audio.ok_or(ServerError::MissingAudio)?, options })
 }
 
 /// Reads the value of an option. A value that is too long for any option is cut, and refused by its
@@ -135,10 +123,7 @@ async fn read_value(
 ) -> Result<String, ServerError> {
     let mut value = Vec::new();
     while value.len() <= LONGEST_VALUE
-        && let Some(chunk) = field
-            .chunk()
-            .await
-            .map_err(|error| form_error(&error, limits))?
+        && let Some(chunk) = field.chunk().await.map_err(|error| form_error(&error, limits))?
     {
         kept.delivered(chunk.len());
         let room = (LONGEST_VALUE + 1).saturating_sub(value.len());
@@ -168,11 +153,7 @@ struct AudioBuffer<'a> {
 
 impl<'a> AudioBuffer<'a> {
     fn new(limits: &'a Limits, declared: Option<u64>) -> Self {
-        Self {
-            bytes: BytesMut::new(),
-            declared: declared.unwrap_or_default(),
-            limits,
-        }
+        Self { bytes: BytesMut::new(), declared: declared.unwrap_or_default(), limits }
     }
 
     fn push(&mut self, chunk: &[u8]) -> Result<(), ServerError> {
@@ -213,10 +194,9 @@ fn body_error(error: &BodyError, limits: &Limits) -> ServerError {
             idle: limits.body_idle_timeout,
             total: limits.body_timeout,
         },
-        BodyError::NoRoom { retry_after } => ServerError::UploadMemory {
-            memory: limits.upload_memory,
-            retry_after: *retry_after,
-        },
+        BodyError::NoRoom { retry_after } => {
+            ServerError::UploadMemory { memory: limits.upload_memory, retry_after: *retry_after }
+        }
         BodyError::FormOverhead => ServerError::Multipart(format!(
             "the form holds more than {} beside what its parts carry",
             ByteSize(FORM_OVERHEAD)
@@ -235,10 +215,7 @@ fn form_error(error: &axum::extract::multipart::MultipartError, limits: &Limits)
         }
         source = error.source();
     }
-    ServerError::Multipart(format!(
-        "the form cannot be read: {}",
-        shorten(&error.body_text())
-    ))
+    ServerError::Multipart(format!("the form cannot be read: {}", shorten(&error.body_text())))
 }
 
 #[cfg(test)]

@@ -9,10 +9,7 @@ use std::path::PathBuf;
 pub enum CheckpointError {
     /// The file could not be read.
     #[error("{}: {source}", path.display())]
-    Read {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// The file is not a checkpoint that this reader understands, or it is damaged.
     #[error("{}: {problem}", path.display())]
     Malformed { path: PathBuf, problem: Problem },
@@ -21,19 +18,10 @@ pub enum CheckpointError {
     MissingTensor { path: PathBuf, tensor: String },
     /// A tensor has another shape than its neighbours ask for.
     #[error("{}: tensor `{tensor}` should be {expected}, but is {found:?}", path.display())]
-    Shape {
-        path: PathBuf,
-        tensor: String,
-        expected: String,
-        found: Vec<usize>,
-    },
+    Shape { path: PathBuf, tensor: String, expected: String, found: Vec<usize> },
     /// One tensor's values cannot be read.
     #[error("{}: tensor `{tensor}`: {problem}", path.display())]
-    Tensor {
-        path: PathBuf,
-        tensor: String,
-        problem: Problem,
-    },
+    Tensor { path: PathBuf, tensor: String, problem: Problem },
 }
 
 /// What is wrong inside a checkpoint.
@@ -55,11 +43,7 @@ pub enum Problem {
     MissingEntry(String),
     /// An entry claims to be larger than the file that holds it.
     #[error("zip entry `{entry}` claims {declared} bytes, but only {available} are there")]
-    EntrySize {
-        entry: String,
-        declared: u64,
-        available: u64,
-    },
+    EntrySize { entry: String, declared: u64, available: u64 },
     /// The file was written on a big-endian machine.
     #[error("the values are not little-endian")]
     ByteOrder,
@@ -86,11 +70,7 @@ pub enum Problem {
     Duplicate(String),
     /// A storage's bytes are missing or do not fit what was declared.
     #[error("storage `{key}` should have {expected} bytes, but {found} are there")]
-    StorageSize {
-        key: String,
-        expected: u64,
-        found: u64,
-    },
+    StorageSize { key: String, expected: u64, found: u64 },
     /// The list of storages at the end of a legacy file is damaged.
     #[error("the list of storages is damaged at byte {0}")]
     StorageList(usize),
@@ -99,12 +79,7 @@ pub enum Problem {
         "shape {shape:?} with strides {strides:?} at {offset} lies outside its storage of {values} \
          values"
     )]
-    OutsideStorage {
-        shape: Vec<usize>,
-        strides: Vec<usize>,
-        offset: usize,
-        values: usize,
-    },
+    OutsideStorage { shape: Vec<usize>, strides: Vec<usize>, offset: usize, values: usize },
     /// Tensors that share their storages have more values together than the file has bytes.
     #[error("the tensors hold more than the {0} values that a file of as many bytes may")]
     Amplified(usize),

@@ -60,11 +60,8 @@ fn locate_storages(
     object: &Pickled,
     keys: &Pickled,
 ) -> Result<HashMap<String, Range<usize>>, Problem> {
-    let elements: HashMap<&str, ElementType> = object
-        .arena
-        .storages()
-        .map(|storage| (&*storage.key, storage.element))
-        .collect();
+    let elements: HashMap<&str, ElementType> =
+        object.arena.storages().map(|storage| (&*storage.key, storage.element)).collect();
     let damaged = Problem::StorageList;
     let list = keys.arena.items(keys.root).ok_or(damaged(offset))?;
     let mut storages = HashMap::new();

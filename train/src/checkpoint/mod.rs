@@ -47,10 +47,8 @@ impl TorchCheckpoint {
     /// # Errors
     /// [`CheckpointError::Read`] or [`CheckpointError::Malformed`].
     pub fn open(path: &Path) -> Result<Self, CheckpointError> {
-        let bytes = std::fs::read(path).map_err(|source| CheckpointError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
+        let bytes = std::fs::read(path)
+            .map_err(|source| CheckpointError::Read { path: path.to_owned(), source })?;
         Self::from_bytes(path, bytes)
     }
 
@@ -64,10 +62,8 @@ impl TorchCheckpoint {
             let views = tensor_views(&pickled)?;
             Ok((container, views))
         });
-        let (container, views) = opened.map_err(|problem| CheckpointError::Malformed {
-            path: path.to_owned(),
-            problem,
-        })?;
+        let (container, views) = opened
+            .map_err(|problem| CheckpointError::Malformed { path: path.to_owned(), problem })?;
         Ok(Self {
             path: path.to_owned(),
             container,

@@ -17,10 +17,7 @@ fn object_pickle() -> Vec<u8> {
 }
 
 fn values() -> Vec<u8> {
-    [1.0_f32, 2.0, 3.0, 4.0]
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect()
+    [1.0_f32, 2.0, 3.0, 4.0].iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
 fn legacy() -> Vec<u8> {
@@ -44,11 +41,8 @@ fn zip_with(method: zip::CompressionMethod, entries: &[(&str, &[u8])]) -> Vec<u8
 }
 
 fn zipped() -> Vec<u8> {
-    let entries: [(&str, &[u8]); 3] = [
-        ("a/data.pkl", &object_pickle()),
-        ("a/byteorder", b"little"),
-        ("a/data/7", &values()),
-    ];
+    let entries: [(&str, &[u8]); 3] =
+        [("a/data.pkl", &object_pickle()), ("a/byteorder", b"little"), ("a/data/7", &values())];
     zip_with(zip::CompressionMethod::Stored, &entries)
 }
 
@@ -61,9 +55,7 @@ fn read_all(bytes: Vec<u8>) -> Result<(), String> {
     let mut checkpoint = open(bytes).map_err(|error| error.to_string())?;
     let names: Vec<String> = checkpoint.names().map(str::to_owned).collect();
     for name in names {
-        checkpoint
-            .tensor(&name)
-            .map_err(|error| error.to_string())?;
+        checkpoint.tensor(&name).map_err(|error| error.to_string())?;
     }
     Ok(())
 }
@@ -117,17 +109,11 @@ fn big_endian_values_are_refused() {
 fn a_storage_shorter_than_declared_is_refused() {
     let entries: [(&str, &[u8]); 2] = [("a/data.pkl", &object_pickle()), ("a/data/7", &[0; 12])];
     let error = read_all(zip_with(zip::CompressionMethod::Stored, &entries)).unwrap_err();
-    assert_eq!(
-        error,
-        "x.pt: tensor `weight`: storage `7` should have 16 bytes, but 12 are there"
-    );
+    assert_eq!(error, "x.pt: tensor `weight`: storage `7` should have 16 bytes, but 12 are there");
     let mut short = legacy();
     short.pop();
     let error = read_all(short).unwrap_err();
-    assert_eq!(
-        error,
-        "x.pt: storage `7` should have 16 bytes, but 15 are there"
-    );
+    assert_eq!(error, "x.pt: storage `7` should have 16 bytes, but 15 are there");
 }
 
 #[test]
@@ -142,10 +128,7 @@ fn a_legacy_storage_that_claims_exabytes_allocates_nothing() {
 fn damage_to_zipped_values_is_noticed() {
     let mut file = zipped();
     let values = values();
-    let at = file
-        .windows(values.len())
-        .position(|window| window == values)
-        .unwrap();
+    let at = file.windows(values.len()).position(|window| window == values).unwrap();
     file[at] ^= 1;
     assert!(read_all(file).is_err());
 }
@@ -156,11 +139,7 @@ fn fixture(name: &str) -> Vec<u8> {
 }
 
 fn config(cases: u32) -> ProptestConfig {
-    ProptestConfig {
-        cases,
-        failure_persistence: None,
-        ..ProptestConfig::default()
-    }
+    ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
 }
 
 proptest! {

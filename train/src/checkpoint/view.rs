@@ -29,11 +29,9 @@ pub(super) fn check(view: &TensorView) -> Result<(), Problem> {
 /// Index of the highest value of a view that is not empty.
 fn last_value(view: &TensorView) -> Option<usize> {
     let dimensions = view.shape.iter().zip(&view.strides);
-    dimensions
-        .into_iter()
-        .try_fold(view.offset, |last, (&size, &stride)| {
-            last.checked_add((size - 1).checked_mul(stride)?)
-        })
+    dimensions.into_iter().try_fold(view.offset, |last, (&size, &stride)| {
+        last.checked_add((size - 1).checked_mul(stride)?)
+    })
 }
 
 /// The dense tensor of a view that passed [`check`], from its storage's bytes.
@@ -65,15 +63,11 @@ pub(super) fn decode(view: &TensorView, bytes: &[u8]) -> Result<HostTensor, Prob
 /// Whether the values lie in row-major order without gaps, as almost all do.
 fn is_dense(view: &TensorView) -> bool {
     let mut expected = 1;
-    view.shape
-        .iter()
-        .zip(&view.strides)
-        .rev()
-        .all(|(&size, &stride)| {
-            let dense = size == 1 || stride == expected;
-            expected *= size;
-            dense
-        })
+    view.shape.iter().zip(&view.strides).rev().all(|(&size, &stride)| {
+        let dense = size == 1 || stride == expected;
+        expected *= size;
+        dense
+    })
 }
 
 fn finish(view: &TensorView, data: Vec<f32>) -> Result<HostTensor, Problem> {
@@ -84,10 +78,7 @@ fn finish(view: &TensorView, data: Vec<f32>) -> Result<HostTensor, Problem> {
 }
 
 fn position(view: &TensorView, index: &[usize]) -> usize {
-    let steps = index
-        .iter()
-        .zip(&view.strides)
-        .map(|(i, stride)| i * stride);
+    let steps = index.iter().zip(&view.strides).map(|(i, stride)| i * stride);
     view.offset + steps.sum::<usize>()
 }
 
@@ -125,11 +116,7 @@ mod tests {
 
     fn view(element: ElementType, values: usize, shape: &[usize], strides: &[usize]) -> TensorView {
         TensorView {
-            storage: Storage {
-                key: Arc::from("0"),
-                element,
-                values,
-            },
+            storage: Storage { key: Arc::from("0"), element, values },
             offset: 0,
             shape: shape.to_vec(),
             strides: strides.to_vec(),
@@ -145,10 +132,7 @@ mod tests {
         assert_eq!(tensor.data(), [0.0, 3.0, 1.0, 4.0, 2.0, 5.0]);
         let mut second_half = view(ElementType::F32, 6, &[3], &[1]);
         second_half.offset = 3;
-        assert_eq!(
-            decode(&second_half, &bytes).unwrap().data(),
-            [3.0, 4.0, 5.0]
-        );
+        assert_eq!(decode(&second_half, &bytes).unwrap().data(), [3.0, 4.0, 5.0]);
     }
 
     #[test]
@@ -157,14 +141,8 @@ mod tests {
         let cases: [(ElementType, Vec<u8>); 4] = [
             (ElementType::F64, 1.5_f64.to_le_bytes().to_vec()),
             (ElementType::F32, value.to_le_bytes().to_vec()),
-            (
-                ElementType::F16,
-                f16::from_f32(value).to_le_bytes().to_vec(),
-            ),
-            (
-                ElementType::Bf16,
-                bf16::from_f32(value).to_le_bytes().to_vec(),
-            ),
+            (ElementType::F16, f16::from_f32(value).to_le_bytes().to_vec()),
+            (ElementType::Bf16, bf16::from_f32(value).to_le_bytes().to_vec()),
         ];
         for (element, bytes) in cases {
             let tensor = decode(&view(element, 1, &[1], &[1]), &bytes).unwrap();
@@ -184,10 +162,7 @@ mod tests {
             (&[usize::MAX, 2], &[1, 1]),
         ];
         for (shape, strides) in cases {
-            assert!(
-                check(&view(ElementType::F32, 6, shape, strides)).is_err(),
-                "{shape:?}"
-            );
+            assert!(check(&view(ElementType::F32, 6, shape, strides)).is_err(), "{shape:?}");
         }
         assert!(check(&view(ElementType::F32, 6, &[0, 9], &[9, 1])).is_ok());
     }
@@ -204,10 +179,7 @@ mod tests {
     #[test]
     fn integers_and_infinities_are_no_weights() {
         let integers = view(ElementType::I64, 1, &[1], &[1]);
-        assert!(matches!(
-            decode(&integers, &[0; 8]),
-            Err(Problem::NotFloat("int64"))
-        ));
+        assert!(matches!(decode(&integers, &[0; 8]), Err(Problem::NotFloat("int64"))));
         let bytes = f32::INFINITY.to_le_bytes();
         let infinite = decode(&view(ElementType::F32, 1, &[1], &[1]), &bytes);
         assert!(matches!(infinite, Err(Problem::NotFinite)));

@@ -64,17 +64,10 @@ impl ZipFile {
         }
         let declared = entry.size();
         if declared > self.length {
-            return Err(Problem::EntrySize {
-                entry: name,
-                declared,
-                available: self.length,
-            });
+            return Err(Problem::EntrySize { entry: name, declared, available: self.length });
         }
         if declared > limit {
-            return Err(Problem::PickleSize {
-                bytes: declared,
-                limit,
-            });
+            return Err(Problem::PickleSize { bytes: declared, limit });
         }
         let mut bytes = Vec::new();
         entry
@@ -84,11 +77,7 @@ impl ZipFile {
         if bytes.len() as u64 == declared {
             return Ok(bytes);
         }
-        Err(Problem::EntrySize {
-            entry: name,
-            declared,
-            available: bytes.len() as u64,
-        })
+        Err(Problem::EntrySize { entry: name, declared, available: bytes.len() as u64 })
     }
 }
 

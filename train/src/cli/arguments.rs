@@ -412,11 +412,7 @@ impl SettingsArguments {
 
 impl StageArguments {
     pub(super) fn limits(&self, stop: Option<&'static StopFlag>) -> Limits {
-        Limits {
-            seconds: self.max_seconds,
-            steps: self.max_steps,
-            stop,
-        }
+        Limits { seconds: self.max_seconds, steps: self.max_steps, stop }
     }
 }
 
@@ -431,10 +427,7 @@ impl From<SplitName> for Split {
 
 impl From<MusicGapArguments> for MusicGapOptions {
     fn from(arguments: MusicGapArguments) -> Self {
-        Self {
-            model: arguments.model_dir,
-            recordings: arguments.recordings.into(),
-        }
+        Self { model: arguments.model_dir, recordings: arguments.recordings.into() }
     }
 }
 

@@ -105,10 +105,7 @@ fn adapt_policy(
     let config = arguments.stage.settings.read()?;
     let song = target_song(&config.data, &arguments.song)?;
     let adaptation = Adaptation::new(&config, &arguments.song, song)?;
-    let (init, limits) = (
-        arguments.stage.init.as_deref(),
-        arguments.stage.limits(stop),
-    );
+    let (init, limits) = (arguments.stage.init.as_deref(), arguments.stage.limits(stop));
     let outcome = adapt(&config, &adaptation, init, limits, output)?;
     report_outcome(outcome, output)?;
     if outcome == Outcome::Paused {
@@ -157,11 +154,7 @@ fn train_all(
     output: &mut impl Write,
 ) -> anyhow::Result<()> {
     let config = arguments.run.settings.read()?;
-    let limits = Limits {
-        seconds: arguments.max_seconds,
-        steps: None,
-        stop,
-    };
+    let limits = Limits { seconds: arguments.max_seconds, steps: None, stop };
     match run_all(&config, arguments.run.force, limits, output)? {
         Outcome::Finished if config.ablation == AblationConfig::default() => {
             try_it(&config.export.folder, output)?;
@@ -195,12 +188,7 @@ fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Res
 
 fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write) -> io::Result<()> {
     let gpt = manifest.gpt;
-    writeln!(
-        output,
-        "wrote {} ({})",
-        options.out.display(),
-        manifest.name
-    )?;
+    writeln!(output, "wrote {} ({})", options.out.display(), manifest.name)?;
     writeln!(
         output,
         "  {} upper and {} lower codes; GPT of {} layers, {} channels, {} heads; decoder of width \

@@ -14,12 +14,7 @@ use crate::export::skeleton;
 const PICKLES: [&str; 1] = ["pkl"];
 /// Lists of the published splits. The published test set of 40 dances is test and validation.
 const TRAIN_LISTS: [&str; 2] = ["crossmodal_train.txt", "train.txt"];
-const TEST_LISTS: [&str; 4] = [
-    "crossmodal_test.txt",
-    "crossmodal_val.txt",
-    "test.txt",
-    "val.txt",
-];
+const TEST_LISTS: [&str; 4] = ["crossmodal_test.txt", "crossmodal_val.txt", "test.txt", "val.txt"];
 /// Motions whose reconstruction the authors of AIST++ found to have failed.
 const IGNORED: &str = "ignore_list.txt";
 
@@ -58,12 +53,7 @@ pub(super) fn read(
             }
         };
         let music = songs.of(&id).cloned().map(MusicSource::Audio);
-        pieces.push(bare_piece(
-            id,
-            split,
-            MotionSource::Pickle(path.clone()),
-            music,
-        ));
+        pieces.push(bare_piece(id, split, MotionSource::Pickle(path.clone()), music));
     }
     let mut notes = Vec::new();
     if !listed {
@@ -74,9 +64,7 @@ pub(super) fn read(
         );
     }
     if unlisted > 0 {
-        notes.push(format!(
-            "{unlisted} dances are in no list of splits and are left out"
-        ));
+        notes.push(format!("{unlisted} dances are in no list of splits and are left out"));
     }
     if skipped > 0 {
         notes.push(format!("{skipped} dances of {IGNORED} are left out"));

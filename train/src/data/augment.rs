@@ -9,16 +9,12 @@ use super::{FRAMES_PER_CODE, JOINTS, Motion};
 pub const PHASES: usize = FRAMES_PER_CODE;
 
 /// For every SMPL joint the one on the other side; joints of the middle stand for themselves.
-const OTHER_SIDE: [usize; JOINTS] = [
-    0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22,
-];
+const OTHER_SIDE: [usize; JOINTS] =
+    [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22];
 
 /// Mirrors a motion: x is negated, left and right joints change places.
 #[must_use]
-#[expect(
-    clippy::expect_used,
-    reason = "the mirror image has the shape of the motion"
-)]
+#[expect(clippy::expect_used, reason = "the mirror image has the shape of the motion")]
 pub fn mirrored(motion: &Motion) -> Motion {
     let source = motion.positions();
     let mirrored = Positions::from_shape_fn(source.dim(), |(frame, joint, axis)| {

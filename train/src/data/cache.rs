@@ -40,9 +40,7 @@ impl FeatureKey {
             Profile::Librosa011 => "librosa-0.11",
             Profile::Librosa081 => "librosa-0.8.1",
         };
-        Self {
-            text: format!("{audio} {profile} {} {phase} {FEATURE_VERSION}", rate.hz()),
-        }
+        Self { text: format!("{audio} {profile} {} {phase} {FEATURE_VERSION}", rate.hz()) }
     }
 
     fn file_name(&self) -> String {
@@ -65,9 +63,7 @@ impl FeatureCache {
     /// [`DataError::Cache`] if it cannot be made.
     pub fn open(folder: &Path) -> Result<Self, DataError> {
         fs::create_dir_all(folder).map_err(failed(folder))?;
-        Ok(Self {
-            folder: folder.to_owned(),
-        })
+        Ok(Self { folder: folder.to_owned() })
     }
 
     /// `$XDG_CACHE_HOME/bailando/features`, else `~/.cache/bailando/features`: data folders may be
@@ -149,19 +145,14 @@ fn decode(bytes: &[u8]) -> Option<Array2<f32>> {
     if Sha256::digest(values).as_slice() != hash {
         return None;
     }
-    let values = values
-        .chunks_exact(4)
-        .filter_map(|chunk| chunk.try_into().ok());
+    let values = values.chunks_exact(4).filter_map(|chunk| chunk.try_into().ok());
     let values = values.map(f32::from_le_bytes).collect();
     Array2::from_shape_vec((rows, COLUMNS), values).ok()
 }
 
 fn failed(path: &Path) -> impl Fn(io::Error) -> DataError {
     let path = path.to_owned();
-    move |source| DataError::Cache {
-        path: path.clone(),
-        source,
-    }
+    move |source| DataError::Cache { path: path.clone(), source }
 }
 
 #[cfg(test)]

@@ -143,35 +143,17 @@ mod tests {
 
     #[test]
     fn a_round_weighs_by_dance_and_repeats_by_seed() {
-        let plan = CropPlan {
-            frames: 240,
-            stride: 8,
-            mirror: true,
-        };
-        let dance = |songs, phases| Choice {
-            frames: 600,
-            skipped: 0,
-            songs,
-            phases,
-        };
+        let plan = CropPlan { frames: 240, stride: 8, mirror: true };
+        let dance = |songs, phases| Choice { frames: 600, skipped: 0, songs, phases };
         // The last is as long as a crop: there is nothing to cut off.
-        let short = Choice {
-            frames: 240,
-            ..dance(1, PHASES)
-        };
-        let skipping = |skipped| Choice {
-            skipped,
-            ..dance(1, 1)
-        };
+        let short = Choice { frames: 240, ..dance(1, PHASES) };
+        let skipping = |skipped| Choice { skipped, ..dance(1, 1) };
         let starts = |skipped| {
             let draws = plan.round(&[skipping(skipped)], 7, 0);
             assert_eq!(draws.len(), plan.crops(&[skipping(skipped)]));
             draws.into_iter().map(|draw| draw.start).min()
         };
-        assert_eq!(
-            [0, 16, 17, 361].map(starts),
-            [Some(0), Some(16), Some(24), None]
-        );
+        assert_eq!([0, 16, 17, 361].map(starts), [Some(0), Some(16), Some(24), None]);
         let motions = [dance(2, PHASES), dance(1, PHASES), dance(0, 1), short];
         let draws = plan.round(&motions, 7, 0);
         assert_eq!(draws.len(), plan.crops(&motions));
@@ -188,16 +170,8 @@ mod tests {
         assert_eq!(draws, plan.round(&motions, 7, 0));
         assert_ne!(draws, plan.round(&motions, 7, 1));
         assert_ne!(draws, plan.round(&motions, 8, 0));
-        let plain = CropPlan {
-            mirror: false,
-            ..plan
-        };
-        assert!(
-            plain
-                .round(&motions, 7, 0)
-                .iter()
-                .all(|draw| !draw.mirrored)
-        );
+        let plain = CropPlan { mirror: false, ..plan };
+        assert!(plain.round(&motions, 7, 0).iter().all(|draw| !draw.mirrored));
     }
 
     #[test]
@@ -221,11 +195,7 @@ mod tests {
     #[test]
     fn rows_are_one_ahead_of_their_codes() {
         assert_eq!(rows_beside(0..29), 1..30);
-        let draw = Draw {
-            phase: 3,
-            start: 80,
-            ..Draw::default()
-        };
+        let draw = Draw { phase: 3, start: 80, ..Draw::default() };
         assert_eq!(draw.codes(240), 10..40);
         assert_eq!(draw.frames(240), 83..323);
     }

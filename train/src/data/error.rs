@@ -14,24 +14,14 @@ use crate::checkpoint::Problem;
 pub enum DataError {
     /// A file or folder could not be read.
     #[error("{}: {source}", path.display())]
-    Read {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// A file is far larger than anything of its kind.
     #[error("{}: {bytes} bytes are more than the {limit} that such a file may \
              have", path.display())]
-    TooLarge {
-        path: PathBuf,
-        bytes: u64,
-        limit: u64,
-    },
+    TooLarge { path: PathBuf, bytes: u64, limit: u64 },
     /// A JSON file does not hold what its place in the layout asks for.
     #[error("{}: {source}", path.display())]
-    Json {
-        path: PathBuf,
-        source: serde_json::Error,
-    },
+    Json { path: PathBuf, source: serde_json::Error },
     /// The folder has none of the known layouts.
     #[error(
         "{}: no training data here: expected index.json, or JSON files with dance_array, or .pkl \
@@ -41,11 +31,7 @@ pub enum DataError {
     Layout(PathBuf),
     /// An entry of the folder cannot be used.
     #[error("{}: {piece}: {what}", path.display())]
-    Entry {
-        path: PathBuf,
-        piece: String,
-        what: String,
-    },
+    Entry { path: PathBuf, piece: String, what: String },
     /// A motion or feature file's numbers do not have the expected form.
     #[error("{}: {what}", path.display())]
     Shape { path: PathBuf, what: String },
@@ -75,10 +61,7 @@ pub enum DataError {
     Empty { path: PathBuf, split: Split },
     /// The feature cache cannot be used.
     #[error("feature cache {}: {source}; choose another folder with --cache", path.display())]
-    Cache {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Cache { path: PathBuf, source: std::io::Error },
     /// There is nowhere to put the feature cache.
     #[error(
         "neither XDG_CACHE_HOME nor HOME is set: choose a folder for the features with --cache"

@@ -17,11 +17,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, DataError> {
 pub(super) fn read_at_most(path: &Path, limit: u64) -> Result<Vec<u8>, DataError> {
     let bytes = fs::metadata(path).map_err(failed(path))?.len();
     if bytes > limit {
-        return Err(DataError::TooLarge {
-            path: path.to_owned(),
-            bytes,
-            limit,
-        });
+        return Err(DataError::TooLarge { path: path.to_owned(), bytes, limit });
     }
     fs::read(path).map_err(failed(path))
 }
@@ -42,9 +38,7 @@ pub(super) fn list(folder: &Path) -> Result<Vec<PathBuf>, DataError> {
 pub(super) fn has_extension(path: &Path, extensions: &[&str]) -> bool {
     let found = path.extension().and_then(|extension| extension.to_str());
     found.is_some_and(|found| {
-        extensions
-            .iter()
-            .any(|extension| found.eq_ignore_ascii_case(extension))
+        extensions.iter().any(|extension| found.eq_ignore_ascii_case(extension))
     })
 }
 
@@ -56,8 +50,5 @@ pub(super) fn stem(path: &Path) -> String {
 
 pub(super) fn failed(path: &Path) -> impl Fn(io::Error) -> DataError {
     let path = path.to_owned();
-    move |source| DataError::Read {
-        path: path.clone(),
-        source,
-    }
+    move |source| DataError::Read { path: path.clone(), source }
 }

@@ -46,11 +46,8 @@ struct Entry {
 
 pub(super) fn read(root: &Path) -> Result<Dataset, DataError> {
     let path = root.join(INDEX);
-    let index: Index =
-        serde_json::from_slice(&files::read(&path)?).map_err(|source| DataError::Json {
-            path: path.clone(),
-            source,
-        })?;
+    let index: Index = serde_json::from_slice(&files::read(&path)?)
+        .map_err(|source| DataError::Json { path: path.clone(), source })?;
     let mut dataset = Dataset {
         root: root.to_owned(),
         layout: Layout::Folder,
@@ -64,24 +61,18 @@ pub(super) fn read(root: &Path) -> Result<Dataset, DataError> {
         Ok(None) => dataset.notes.push(
             "index.json has no joints, parents and offsets: the SMPL skeleton is assumed".into(),
         ),
-        Err(what) => dataset.defects.push(Defect {
-            piece: INDEX.into(),
-            what,
-        }),
+        Err(what) => dataset.defects.push(Defect { piece: INDEX.into(), what }),
     }
     if index.pieces.is_none() && index.recordings.is_none() {
-        dataset.defects.push(Defect {
-            piece: INDEX.into(),
-            what: "there is no list `pieces` in it".into(),
-        });
+        dataset
+            .defects
+            .push(Defect { piece: INDEX.into(), what: "there is no list `pieces` in it".into() });
     }
     for value in index.pieces.unwrap_or_default() {
         dataset.take(value, |entry| piece(root, entry, index.fps, None));
     }
     for value in index.recordings.unwrap_or_default() {
-        dataset.take(value, |entry| {
-            piece(root, entry, index.fps, Some(Split::Train))
-        });
+        dataset.take(value, |entry| piece(root, entry, index.fps, Some(Split::Train)));
     }
     Ok(dataset)
 }
@@ -122,9 +113,7 @@ fn piece(
         style: entry.style,
         split,
         motion: MotionSource::Npy(root.join(motion)),
-        music: entry
-            .audio
-            .map(|audio| MusicSource::Audio(root.join(audio))),
+        music: entry.audio.map(|audio| MusicSource::Audio(root.join(audio))),
         frames: entry.frames,
         seconds: entry.seconds,
         fps: entry.fps.or(fps),

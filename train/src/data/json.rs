@@ -58,10 +58,7 @@ fn is_dance(path: &Path) -> bool {
         std::fs::File::open(path).and_then(|file| file.take(PEEK as u64).read_to_end(&mut start));
     // Music usually comes first and fills the look; what cannot be read is reported when it is.
     let keys: [&[u8]; 2] = [b"\"dance_array\"", b"\"music_array\""];
-    read.is_err()
-        || keys
-            .iter()
-            .any(|key| start.windows(key.len()).any(|w| w == *key))
+    read.is_err() || keys.iter().any(|key| start.windows(key.len()).any(|w| w == *key))
 }
 
 pub(super) fn read(
@@ -143,10 +140,8 @@ pub(super) fn positions(path: &Path) -> Result<Positions, DataError> {
     let flat = matrix(path, "dance_array", &file.dance_array, 3 * JOINTS)?;
     let frames = flat.nrows();
     let (values, _) = flat.into_raw_vec_and_offset();
-    Positions::from_shape_vec((frames, JOINTS, 3), values).map_err(|error| DataError::Shape {
-        path: path.to_owned(),
-        what: error.to_string(),
-    })
+    Positions::from_shape_vec((frames, JOINTS, 3), values)
+        .map_err(|error| DataError::Shape { path: path.to_owned(), what: error.to_string() })
 }
 
 /// Rows of `music_array` and their rate. A file of music alone has 7.5 a second.
@@ -181,10 +176,8 @@ fn rate_of(rows: usize, frames: usize) -> Option<Rate> {
 }
 
 fn parse<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, DataError> {
-    serde_json::from_slice(&files::read(path)?).map_err(|source| DataError::Json {
-        path: path.to_owned(),
-        source,
-    })
+    serde_json::from_slice(&files::read(path)?)
+        .map_err(|source| DataError::Json { path: path.to_owned(), source })
 }
 
 fn matrix(
@@ -193,24 +186,16 @@ fn matrix(
     rows: &[Vec<f32>],
     columns: usize,
 ) -> Result<Array2<f32>, DataError> {
-    let odd = rows
-        .iter()
-        .enumerate()
-        .find(|(_, row)| row.len() != columns);
+    let odd = rows.iter().enumerate().find(|(_, row)| row.len() != columns);
     if let Some((row, values)) = odd {
         return Err(DataError::Shape {
             path: path.to_owned(),
-            what: format!(
-                "row {row} of {name} has {} columns, expected {columns}",
-                values.len()
-            ),
+            what: format!("row {row} of {name} has {} columns, expected {columns}", values.len()),
         });
     }
     let flat = rows.iter().flatten().copied().collect();
-    Array2::from_shape_vec((rows.len(), columns), flat).map_err(|error| DataError::Shape {
-        path: path.to_owned(),
-        what: error.to_string(),
-    })
+    Array2::from_shape_vec((rows.len(), columns), flat)
+        .map_err(|error| DataError::Shape { path: path.to_owned(), what: error.to_string() })
 }
 
 #[cfg(test)]

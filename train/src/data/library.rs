@@ -31,13 +31,7 @@ impl MusicLibrary {
     /// A library over a cache folder.
     #[must_use]
     pub fn new(cache: FeatureCache, profile: Profile) -> Self {
-        Self {
-            cache,
-            profile,
-            extractors: HashMap::new(),
-            computed: 0,
-            count_periods: Vec::new(),
-        }
+        Self { cache, profile, extractors: HashMap::new(), computed: 0, count_periods: Vec::new() }
     }
 
     /// Adds the columns of these periods to the conditioning rows.
@@ -74,16 +68,12 @@ impl MusicLibrary {
             {
                 Err(stored(path, "data.count_periods need the song itself"))
             }
-            MusicSource::DanceRows(path) | MusicSource::Rows(path) if phase > 0 => Err(stored(
-                path,
-                "rows of 7.5 a second cannot be moved by single frames",
-            )),
+            MusicSource::DanceRows(path) | MusicSource::Rows(path) if phase > 0 => {
+                Err(stored(path, "rows of 7.5 a second cannot be moved by single frames"))
+            }
             MusicSource::DanceRows(path) | MusicSource::Rows(path) => match json::rows(path)? {
                 (rows, Rate::Conditioning) => Ok(rows),
-                _ => Err(stored(
-                    path,
-                    "music_array has 60 rows a second, the GPT needs 7.5",
-                )),
+                _ => Err(stored(path, "music_array has 60 rows a second, the GPT needs 7.5")),
             },
         }
     }
@@ -99,10 +89,7 @@ impl MusicLibrary {
             MusicSource::DanceRows(path) | MusicSource::Rows(path) => match json::rows(path)? {
                 (rows, Rate::Beats) => rows,
                 _ => {
-                    return Err(stored(
-                        path,
-                        "music_array has 7.5 rows a second, beats need 60",
-                    ));
+                    return Err(stored(path, "music_array has 7.5 rows a second, beats need 60"));
                 }
             },
         };
@@ -122,9 +109,7 @@ impl MusicLibrary {
     ) -> Result<Vec<Array2<f32>>, DataError> {
         match music {
             MusicSource::Audio(path) => self.counted_rows(path, 0..count),
-            _ => (0..count)
-                .map(|phase| self.conditioning(music, phase))
-                .collect(),
+            _ => (0..count).map(|phase| self.conditioning(music, phase)).collect(),
         }
     }
 
@@ -141,10 +126,7 @@ impl MusicLibrary {
         let beats = self.one(path, Rate::Beats, 0)?;
         let beats = beats.column(BEAT_COLUMN).into_iter().enumerate();
         let beats = Beats {
-            frames: beats
-                .filter(|(_, beat)| **beat > 0.5)
-                .map(|(row, _)| row)
-                .collect(),
+            frames: beats.filter(|(_, beat)| **beat > 0.5).map(|(row, _)| row).collect(),
             ..Beats::default()
         };
         // Over the whole song, as in serving.
@@ -202,10 +184,7 @@ impl MusicLibrary {
         let extractor = extractor.or_insert_with(|| FeatureExtractor::new(rate, profile));
         let rows = extractor
             .extract(signal)
-            .map_err(|source| DataError::Features {
-                path: path.to_owned(),
-                source,
-            })?;
+            .map_err(|source| DataError::Features { path: path.to_owned(), source })?;
         self.cache.put(key, &rows)?;
         self.computed += 1;
         Ok(rows)
@@ -232,17 +211,12 @@ pub(super) fn decoded(
         ..AudioLimits::default()
     };
     let (range, cancel) = (AudioRange::default(), CancelToken::new());
-    decode(bytes.into(), range, rates, &limits, &cancel).map_err(|source| DataError::Audio {
-        path: path.to_owned(),
-        source,
-    })
+    decode(bytes.into(), range, rates, &limits, &cancel)
+        .map_err(|source| DataError::Audio { path: path.to_owned(), source })
 }
 
 fn stored(path: &Path, what: &'static str) -> DataError {
-    DataError::StoredRows {
-        path: PathBuf::from(path),
-        what,
-    }
+    DataError::StoredRows { path: PathBuf::from(path), what }
 }
 
 #[cfg(test)]

@@ -98,10 +98,9 @@ mod tests {
     use super::*;
 
     fn wave(frames: usize) -> Motion {
-        Motion::new(Positions::from_shape_fn(
-            (frames, JOINTS, 3),
-            |(t, j, a)| ((t * (a + 1)) as f32 / 9.0).sin() + j as f32 / 10.0,
-        ))
+        Motion::new(Positions::from_shape_fn((frames, JOINTS, 3), |(t, j, a)| {
+            ((t * (a + 1)) as f32 / 9.0).sin() + j as f32 / 10.0
+        }))
     }
 
     #[test]
@@ -109,15 +108,7 @@ mod tests {
         let motion = wave(50);
         let velocity = motion.root_velocity();
         assert_eq!(velocity.row(49), velocity.row(48));
-        assert!(
-            motion
-                .root_relative()
-                .columns()
-                .into_iter()
-                .take(3)
-                .flatten()
-                .all(|&v| v == 0.0)
-        );
+        assert!(motion.root_relative().columns().into_iter().take(3).flatten().all(|&v| v == 0.0));
         let decoded = motion.decoded();
         let start = [0, 1, 2].map(|axis| motion.positions()[[0, 0, axis]]);
         let integrated = integrate_root(decoded.view(), start).unwrap();

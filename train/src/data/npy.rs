@@ -10,10 +10,7 @@ use super::{DataError, JOINTS, files};
 /// Reads `[T, 24, 3]` (or `[T, 72]`) of little-endian float32 or float64.
 pub(super) fn positions(path: &Path) -> Result<Positions, DataError> {
     let bytes = files::read(path)?;
-    parse(&bytes).map_err(|what| DataError::Shape {
-        path: path.to_owned(),
-        what,
-    })
+    parse(&bytes).map_err(|what| DataError::Shape { path: path.to_owned(), what })
 }
 
 fn parse(bytes: &[u8]) -> Result<Positions, String> {
@@ -47,9 +44,7 @@ fn parse(bytes: &[u8]) -> Result<Positions, String> {
         ));
     }
     let values = if wide {
-        chunks::<8>(values)
-            .map(|chunk| f64::from_le_bytes(chunk) as f32)
-            .collect()
+        chunks::<8>(values).map(|chunk| f64::from_le_bytes(chunk) as f32).collect()
     } else {
         chunks::<4>(values).map(f32::from_le_bytes).collect()
     };
@@ -57,9 +52,7 @@ fn parse(bytes: &[u8]) -> Result<Positions, String> {
 }
 
 fn chunks<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
-    bytes
-        .chunks_exact(N)
-        .filter_map(|chunk| chunk.try_into().ok())
+    bytes.chunks_exact(N).filter_map(|chunk| chunk.try_into().ok())
 }
 
 /// Header text and values.
@@ -86,10 +79,7 @@ fn field<'h>(header: &'h str, key: &str) -> Option<&'h str> {
 fn shape(header: &str) -> Option<Vec<usize>> {
     let (_, shape) = header.split_once("'shape':")?;
     let (shape, _) = shape.trim_start().strip_prefix('(')?.split_once(')')?;
-    let sizes = shape
-        .split(',')
-        .map(str::trim)
-        .filter(|size| !size.is_empty());
+    let sizes = shape.split(',').map(str::trim).filter(|size| !size.is_empty());
     sizes.map(|size| size.parse().ok()).collect()
 }
 

@@ -68,19 +68,13 @@ pub struct Song {
 impl<S: SplitKind> Portion<S> {
     pub(super) fn of(dataset: &Dataset) -> Result<Self, DataError> {
         let mut recordings: BTreeMap<&MotionSource, Recording<S>> = BTreeMap::new();
-        for piece in dataset
-            .pieces
-            .iter()
-            .filter(|piece| piece.split == S::SPLIT)
-        {
-            let dance = recordings
-                .entry(&piece.motion)
-                .or_insert_with(|| Recording {
-                    source: piece.motion.clone(),
-                    style: piece.style.clone(),
-                    songs: Vec::new(),
-                    split: PhantomData,
-                });
+        for piece in dataset.pieces.iter().filter(|piece| piece.split == S::SPLIT) {
+            let dance = recordings.entry(&piece.motion).or_insert_with(|| Recording {
+                source: piece.motion.clone(),
+                style: piece.style.clone(),
+                songs: Vec::new(),
+                split: PhantomData,
+            });
             dance.songs.push(Song {
                 id: piece.id.clone(),
                 music: piece.music.clone(),
@@ -89,10 +83,7 @@ impl<S: SplitKind> Portion<S> {
             });
         }
         if recordings.is_empty() {
-            return Err(DataError::Empty {
-                path: dataset.root.clone(),
-                split: S::SPLIT,
-            });
+            return Err(DataError::Empty { path: dataset.root.clone(), split: S::SPLIT });
         }
         Ok(Self {
             recordings: recordings.into_values().collect(),
@@ -117,10 +108,7 @@ impl<S: SplitKind> Portion<S> {
     /// # Errors
     /// [`DataError`] of the first that cannot be read.
     pub fn motions(&self) -> Result<Vec<Motion>, DataError> {
-        let motions = self
-            .recordings
-            .iter()
-            .map(|dance| dance.motion(&self.skeleton));
+        let motions = self.recordings.iter().map(|dance| dance.motion(&self.skeleton));
         motions.collect()
     }
 }

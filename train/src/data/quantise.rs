@@ -31,44 +31,29 @@ pub fn quantised(motion: &Motion, grid_beats_s: &[f64], most: usize) -> Motion {
         .collect();
     let knots = knots(motion, &grid, most as f64, last as f64);
     let positions = motion.positions();
-    Motion::new(Positions::from_shape_fn(
-        positions.dim(),
-        |(frame, joint, axis)| {
-            let recorded = (frame as f64 - late_at(&knots, frame as f64)).clamp(0.0, last as f64);
-            let (before, part) = (recorded.floor(), recorded.fract() as f32);
-            let value = |frame: usize| positions[[frame.min(last), joint, axis]];
-            let here = value(before as usize);
-            here + part * (value(before as usize + 1) - here)
-        },
-    ))
+    Motion::new(Positions::from_shape_fn(positions.dim(), |(frame, joint, axis)| {
+        let recorded = (frame as f64 - late_at(&knots, frame as f64)).clamp(0.0, last as f64);
+        let (before, part) = (recorded.floor(), recorded.fract() as f32);
+        let value = |frame: usize| positions[[frame.min(last), joint, axis]];
+        let here = value(before as usize);
+        here + part * (value(before as usize + 1) - here)
+    }))
 }
 
 /// Both ends, which stay, and the beats where they go to.
 fn knots(motion: &Motion, grid: &[f64], most: f64, last: f64) -> Vec<Knot> {
-    let mut knots = vec![Knot {
-        frame: 0.0,
-        late: 0.0,
-    }];
+    let mut knots = vec![Knot { frame: 0.0, late: 0.0 }];
     for beat in dance_beats(&joint_speed(motion.decoded().view())) {
         let beat = beat as f64;
-        let nearest = grid
-            .iter()
-            .copied()
-            .min_by(|a, b| (a - beat).abs().total_cmp(&(b - beat).abs()));
+        let nearest =
+            grid.iter().copied().min_by(|a, b| (a - beat).abs().total_cmp(&(b - beat).abs()));
         let late = nearest.map_or(0.0, |count| (count - beat).clamp(-most, most));
         let frame = beat + late;
-        if knots
-            .last()
-            .is_some_and(|knot| frame - knot.frame > CLOSEST)
-            && last - frame > CLOSEST
-        {
+        if knots.last().is_some_and(|knot| frame - knot.frame > CLOSEST) && last - frame > CLOSEST {
             knots.push(Knot { frame, late });
         }
     }
-    knots.push(Knot {
-        frame: last,
-        late: 0.0,
-    });
+    knots.push(Knot { frame: last, late: 0.0 });
     knots
 }
 
@@ -109,9 +94,7 @@ mod tests {
     }
 
     fn grid(period: f64) -> Vec<f64> {
-        (0..20)
-            .map(|beat| f64::from(beat) * period / 60.0)
-            .collect()
+        (0..20).map(|beat| f64::from(beat) * period / 60.0).collect()
     }
 
     #[test]

@@ -19,18 +19,12 @@ pub(super) fn positions(path: &Path, skeleton: &Skeleton) -> Result<Positions, D
 
 /// `path` is what errors call the pickle.
 fn from_bytes(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Positions, DataError> {
-    let pickled = interpret_arrays(bytes).map_err(|problem| DataError::Pickle {
-        path: path.to_owned(),
-        problem,
-    })?;
-    let animation = animation(&pickled).map_err(|what| DataError::Shape {
-        path: path.to_owned(),
-        what,
-    })?;
-    forward(skeleton, &animation).map_err(|source| DataError::Motion {
-        path: path.to_owned(),
-        source,
-    })
+    let pickled = interpret_arrays(bytes)
+        .map_err(|problem| DataError::Pickle { path: path.to_owned(), problem })?;
+    let animation =
+        animation(&pickled).map_err(|what| DataError::Shape { path: path.to_owned(), what })?;
+    forward(skeleton, &animation)
+        .map_err(|source| DataError::Motion { path: path.to_owned(), source })
 }
 
 fn animation(pickled: &Pickled) -> Result<Animation, String> {
@@ -62,11 +56,7 @@ fn animation(pickled: &Pickled) -> Result<Animation, String> {
         root: vectors(&trans)?.iter().map(|&root| root / scale).collect(),
         rotations: turns
             .chunks_exact(JOINTS)
-            .map(|pose| {
-                pose.iter()
-                    .map(|&turn| Quat::from_scaled_axis(turn))
-                    .collect()
-            })
+            .map(|pose| pose.iter().map(|&turn| Quat::from_scaled_axis(turn)).collect())
             .collect(),
     })
 }
@@ -81,10 +71,7 @@ fn scaling(pickled: &Pickled) -> Result<f32, String> {
         Some(Object::Array(array)) => match array.values()?.as_slice() {
             &[value] => value,
             _ => {
-                return Err(format!(
-                    "smpl_scaling has shape {:?}, expected [1]",
-                    array.shape
-                ));
+                return Err(format!("smpl_scaling has shape {:?}, expected [1]", array.shape));
             }
         },
         _ => return Err("smpl_scaling is missing".into()),
@@ -92,9 +79,7 @@ fn scaling(pickled: &Pickled) -> Result<f32, String> {
     if value.is_finite() && value > 0.0 {
         Ok(value as f32)
     } else {
-        Err(format!(
-            "smpl_scaling is {value}, expected a number above 0"
-        ))
+        Err(format!("smpl_scaling is {value}, expected a number above 0"))
     }
 }
 

@@ -10,16 +10,7 @@ use super::{DataError, files};
 /// What `bailando::audio` decodes.
 const AUDIO: [&str; 8] = ["wav", "mp3", "ogg", "oga", "flac", "m4a", "mp4", "aac"];
 /// Folders beside motions that usually hold the songs.
-const USUAL: [&str; 8] = [
-    "audio",
-    "music",
-    "musics",
-    "all_musics",
-    "wav",
-    "wavs",
-    "mp3",
-    "songs",
-];
+const USUAL: [&str; 8] = ["audio", "music", "musics", "all_musics", "wav", "wavs", "mp3", "songs"];
 
 /// Files by name without ending.
 #[derive(Debug, Default)]
@@ -59,11 +50,7 @@ impl Songs {
     /// Returns the song of the motion `id`: of the same name, else of the name of its music. AIST++
     /// ids are `genre_situation_camera_dancer_music_choreography`.
     pub(super) fn of(&self, id: &str) -> Option<&PathBuf> {
-        let music = || {
-            id.rsplit('_')
-                .nth(1)
-                .and_then(|music| self.by_stem.get(music))
-        };
+        let music = || id.rsplit('_').nth(1).and_then(|music| self.by_stem.get(music));
         self.by_stem.get(id).or_else(music)
     }
 }

@@ -2,10 +2,7 @@
 //! Used by unit tests and, by path, by integration tests.
 
 #![allow(dead_code, reason = "not every test binary uses every helper")]
-#![allow(
-    clippy::unwrap_used,
-    reason = "helpers of tests: failing loudly is their job"
-)]
+#![allow(clippy::unwrap_used, reason = "helpers of tests: failing loudly is their job")]
 
 use std::{
     fs,
@@ -66,9 +63,7 @@ impl TestFolder {
         let seconds = FRAMES as f64 / 60.0;
         let song = clicks(seconds, 0.1, Some(period_s));
         fs::write(self.path(audio), song).unwrap();
-        let grid: Vec<f64> = (0..50)
-            .map(|beat| 0.1 + f64::from(beat) * period_s)
-            .collect();
+        let grid: Vec<f64> = (0..50).map(|beat| 0.1 + f64::from(beat) * period_s).collect();
         let grid: Vec<f64> = grid.into_iter().filter(|&beat| beat < seconds).collect();
         self.add(json!({
             "id": id, "style": "sway", "split": split, "frames": FRAMES, "seconds": seconds,

@@ -45,10 +45,7 @@ fn a_test_motion_among_the_training_pieces_stops_training() {
     fs::copy(folder.path("three.npy"), folder.path("two.npy")).unwrap();
     let data = open(folder.write()).unwrap();
     let refused = data.training().unwrap_err().to_string();
-    assert!(
-        refused.contains("`two.npy` (train) and `three.npy` (test)"),
-        "{refused}"
-    );
+    assert!(refused.contains("`two.npy` (train) and `three.npy` (test)"), "{refused}");
 }
 
 #[test]
@@ -70,19 +67,11 @@ fn entries_that_cannot_be_used_stop_the_trainer() {
         let mut folder = good();
         folder.set("two_a", field, value);
         let refused = open(folder.write()).unwrap_err().to_string();
-        assert!(
-            refused.contains("two_a: ") && refused.contains(expected),
-            "{refused}"
-        );
+        assert!(refused.contains("two_a: ") && refused.contains(expected), "{refused}");
     }
     let mut folder = good();
     folder.index["joints"] = json!(["pelvis", "spine"]);
-    assert!(
-        open(folder.write())
-            .unwrap_err()
-            .to_string()
-            .contains("index.json")
-    );
+    assert!(open(folder.write()).unwrap_err().to_string().contains("index.json"));
     let empty = tempfile::tempdir().unwrap();
     assert!(matches!(open(empty.path()), Err(DataError::Layout(_))));
 }
@@ -115,11 +104,8 @@ fn the_references_files_are_read_with_music_of_either_rate() {
     let training = data.training().unwrap();
     let expected = dance(data.skeleton(), 80, 4);
     assert_eq!(training.motions().unwrap()[0].positions(), &expected);
-    let music: Vec<_> = training
-        .recordings()
-        .iter()
-        .map(|d| d.songs()[0].music.clone().unwrap())
-        .collect();
+    let music: Vec<_> =
+        training.recordings().iter().map(|d| d.songs()[0].music.clone().unwrap()).collect();
     let mut library = library(&root.join("cache"));
     assert_eq!(library.beats(&music[0], 3).unwrap().dim(), (77, 438));
     assert!(library.conditioning(&music[0], 0).is_err());
@@ -140,9 +126,7 @@ fn feature_files_of_songs_are_found_by_the_songs_name() {
     let training = open(root).unwrap().training().unwrap();
     let music = training.recordings()[0].songs()[0].music.clone().unwrap();
     assert_eq!(music, MusicSource::Rows(root.join("music/mX.json")));
-    let rows = library(&root.join("cache"))
-        .conditioning(&music, 0)
-        .unwrap();
+    let rows = library(&root.join("cache")).conditioning(&music, 0).unwrap();
     assert_eq!(rows.dim(), (12, 438));
 }
 
@@ -169,18 +153,13 @@ fn aist_dances_find_their_songs_and_their_splits() {
     fs::write(root.join("splits/crossmodal_val.txt"), id("mBR2")).unwrap();
     fs::write(root.join("ignore_list.txt"), id("mBR3")).unwrap();
     fs::write(songs.join("mBR0.wav"), clicks(1.0, 0.0, Some(0.5))).unwrap();
-    let options = OpenOptions {
-        audio: Some(songs.clone()),
-    };
+    let options = OpenOptions { audio: Some(songs.clone()) };
     let data = Dataset::open(&root, &options).unwrap();
     assert_eq!(data.layout(), Layout::Aist);
     let training = data.training().unwrap();
     let dance = &training.recordings()[0];
     assert_eq!(training.recordings().len(), 1, "mBR1 is in no list");
-    assert_eq!(
-        dance.songs()[0].music,
-        Some(MusicSource::Audio(songs.join("mBR0.wav")))
-    );
+    assert_eq!(dance.songs()[0].music, Some(MusicSource::Audio(songs.join("mBR0.wav"))));
     assert_eq!(dance.motion(training.skeleton()).unwrap().frames(), 12);
     assert_eq!(data.evaluation().unwrap().recordings().len(), 1);
 }
@@ -193,29 +172,15 @@ fn a_song_is_computed_once_and_again_when_its_entry_is_damaged() {
     let mut first = library(root);
     let rows = first.conditioning(&song, 0).unwrap();
     assert_eq!(rows.dim(), (1 + 38_400 / 512, 438));
-    assert_eq!(
-        (first.conditioning(&song, 0).unwrap(), first.computed()),
-        (rows.clone(), 1)
-    );
+    assert_eq!((first.conditioning(&song, 0).unwrap(), first.computed()), (rows.clone(), 1));
     let mut second = library(root);
-    assert_eq!(
-        (second.conditioning(&song, 0).unwrap(), second.computed()),
-        (rows.clone(), 0)
-    );
-    let entry = fs::read_dir(root.join("features"))
-        .unwrap()
-        .next()
-        .unwrap()
-        .unwrap()
-        .path();
+    assert_eq!((second.conditioning(&song, 0).unwrap(), second.computed()), (rows.clone(), 0));
+    let entry = fs::read_dir(root.join("features")).unwrap().next().unwrap().unwrap().path();
     let mut bytes = fs::read(&entry).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 0x10;
     fs::write(&entry, bytes).unwrap();
-    assert_eq!(
-        (second.conditioning(&song, 0).unwrap(), second.computed()),
-        (rows, 1)
-    );
+    assert_eq!((second.conditioning(&song, 0).unwrap(), second.computed()), (rows, 1));
 }
 
 /// Largest difference of the MFCC of some rows.
@@ -246,9 +211,7 @@ fn music_moves_with_the_start_phase() {
     let file = [&header[..40], &size, &samples[1_600..]].concat();
     let shorter = folder.path("shorter.wav");
     fs::write(&shorter, file).unwrap();
-    let expected = library
-        .conditioning(&MusicSource::Audio(shorter), 0)
-        .unwrap();
+    let expected = library.conditioning(&MusicSource::Audio(shorter), 0).unwrap();
     assert!(mfcc_difference(&cut, &expected, 4, 0) < 0.02);
     let phases = library.phases(&source, 4).unwrap();
     assert_eq!((&phases[0], &phases[3]), (&whole, &cut));
@@ -266,10 +229,7 @@ fn counts_follow_the_features_of_every_phase() {
     let rows = counting.phases(&song, 4).unwrap();
     for (rows, plain) in rows.iter().zip(&plain) {
         assert_eq!(rows.dim(), (plain.nrows(), 442));
-        assert_eq!(
-            rows.slice_axis(ndarray::Axis(1), ndarray::Slice::from(..438)),
-            plain
-        );
+        assert_eq!(rows.slice_axis(ndarray::Axis(1), ndarray::Slice::from(..438)), plain);
         for row in rows.rows() {
             for pair in [438, 440] {
                 let length = row[pair].hypot(row[pair + 1]);
@@ -283,10 +243,7 @@ fn counts_follow_the_features_of_every_phase() {
     let angle = |phase: usize, row: usize| rows[phase][[row, 438]].atan2(rows[phase][[row, 439]]);
     let turn = (angle(3, 30) - angle(0, 30)).rem_euclid(std::f32::consts::TAU);
     let counts = 3.0 / 60.0 / 0.25;
-    assert!(
-        (turn - counts * std::f32::consts::TAU).abs() < 0.5,
-        "{turn}"
-    );
+    assert!((turn - counts * std::f32::consts::TAU).abs() < 0.5, "{turn}");
 
     let stored = MusicSource::Rows(folder.path("stored.json"));
     let refused = counting.conditioning(&stored, 0).unwrap_err();

@@ -16,22 +16,14 @@ pub enum ExportError {
         "the GPT has {gpt} {half} codes, but the VQ-VAE's codebook has {codebook}: are they of the \
          same model?"
     )]
-    Vocabulary {
-        half: &'static str,
-        gpt: usize,
-        codebook: usize,
-    },
+    Vocabulary { half: &'static str, gpt: usize, codebook: usize },
     /// The root's decoder is not one of the frame that the motion is said to be in.
     #[error(
         "the root's decoder gives {found} columns, but motion in the {} frame has {expected}: is \
          the frame right?",
         match frame { MotionFrame::World => "world's", MotionFrame::Dancer => "dancer's" }
     )]
-    Frame {
-        frame: MotionFrame,
-        expected: usize,
-        found: usize,
-    },
+    Frame { frame: MotionFrame, expected: usize, found: usize },
     /// A graph could not be built.
     #[error(transparent)]
     Graph(#[from] GraphError),
@@ -51,10 +43,7 @@ pub enum ExportError {
     NoName(PathBuf),
     /// A file or directory could not be written.
     #[error("{}: {source}", path.display())]
-    Write {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Write { path: PathBuf, source: std::io::Error },
     /// What was written cannot be loaded.
     #[error("the written model cannot be loaded: {0}")]
     Load(#[from] ModelError),

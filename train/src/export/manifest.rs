@@ -50,10 +50,7 @@ pub(super) fn manifest(
             layers: gpt.blocks.len(),
             heads: gpt.heads,
         },
-        decoder: DecoderSpec {
-            width: vqvae.width(),
-            receptive_codes: receptive_codes(vqvae),
-        },
+        decoder: DecoderSpec { width: vqvae.width(), receptive_codes: receptive_codes(vqvae) },
         skeleton: skeleton(description.root_height),
         upper_joints: upper_joints.to_vec(),
         lower_joints: lower_joints.to_vec(),
@@ -80,11 +77,7 @@ fn checked_frame(vqvae: &VqVaeWeights, frame: MotionFrame) -> Result<MotionFrame
     if found == expected {
         return Ok(frame);
     }
-    Err(ExportError::Frame {
-        frame,
-        expected,
-        found,
-    })
+    Err(ExportError::Frame { frame, expected, found })
 }
 
 fn vocabulary(gpt: &GptWeights, vqvae: &VqVaeWeights) -> Result<Vocabulary, ExportError> {
@@ -92,11 +85,7 @@ fn vocabulary(gpt: &GptWeights, vqvae: &VqVaeWeights) -> Result<Vocabulary, Expo
         if embedding.dim(0) == codebook.dim(0) {
             return Ok(codebook.dim(0));
         }
-        Err(ExportError::Vocabulary {
-            half,
-            gpt: embedding.dim(0),
-            codebook: codebook.dim(0),
-        })
+        Err(ExportError::Vocabulary { half, gpt: embedding.dim(0), codebook: codebook.dim(0) })
     };
     Ok(Vocabulary {
         upper: same("upper", &gpt.upper_embedding, &vqvae.upper.codebook)?,

@@ -53,16 +53,10 @@ mod tests {
         skeleton.validate().unwrap();
         for (joint, name) in skeleton.joints.iter().enumerate() {
             if let Some(right) = name.strip_prefix("l_") {
-                let mirrored = skeleton
-                    .joints
-                    .iter()
-                    .position(|n| *n == format!("r_{right}"));
+                let mirrored = skeleton.joints.iter().position(|n| *n == format!("r_{right}"));
                 let mirrored = skeleton.offsets[mirrored.unwrap()];
                 let [x, ..] = skeleton.offsets[joint];
-                assert!(
-                    x * mirrored[0] < 0.0,
-                    "{name} and its mirror are on one side"
-                );
+                assert!(x * mirrored[0] < 0.0, "{name} and its mirror are on one side");
             }
         }
     }

@@ -32,15 +32,9 @@ impl Staging {
             let name = name.to_string_lossy();
             target.with_file_name(format!(".{name}.{purpose}-{process}"))
         };
-        let staging = Self {
-            folder: sibling("new"),
-            retired: sibling("old"),
-            target: target.to_owned(),
-        };
-        if let Some(parent) = target
-            .parent()
-            .filter(|parent| !parent.as_os_str().is_empty())
-        {
+        let staging =
+            Self { folder: sibling("new"), retired: sibling("old"), target: target.to_owned() };
+        if let Some(parent) = target.parent().filter(|parent| !parent.as_os_str().is_empty()) {
             fs::create_dir_all(parent).map_err(failed(parent))?;
         }
         let folder = &staging.folder;
@@ -107,16 +101,8 @@ pub(crate) fn check_target(target: &Path, replace: bool) -> Result<(), ExportErr
     if target.join(MANIFEST).is_file() {
         return Ok(());
     }
-    let empty = target.is_dir()
-        && fs::read_dir(target)
-            .map_err(failed(target))?
-            .next()
-            .is_none();
-    if empty {
-        Ok(())
-    } else {
-        Err(ExportError::NotAModel(target.to_owned()))
-    }
+    let empty = target.is_dir() && fs::read_dir(target).map_err(failed(target))?.next().is_none();
+    if empty { Ok(()) } else { Err(ExportError::NotAModel(target.to_owned())) }
 }
 
 fn keep_other_files(from: &Path, to: &Path) -> Result<(), ExportError> {
@@ -132,10 +118,7 @@ fn keep_other_files(from: &Path, to: &Path) -> Result<(), ExportError> {
 
 fn failed(path: &Path) -> impl Fn(io::Error) -> ExportError {
     let path = path.to_owned();
-    move |source| ExportError::Write {
-        path: path.clone(),
-        source,
-    }
+    move |source| ExportError::Write { path: path.clone(), source }
 }
 
 #[cfg(test)]
@@ -150,9 +133,8 @@ mod tests {
 
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).unwrap();
-        let mut names: Vec<String> = entries
-            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-            .collect();
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
         names
     }
@@ -163,10 +145,7 @@ mod tests {
         let target = folder.path().join("model");
         publish(&target, false, "one").unwrap();
         fs::write(target.join("MODEL_CARD.md"), "card").unwrap();
-        assert!(matches!(
-            publish(&target, false, "two"),
-            Err(ExportError::Exists(_))
-        ));
+        assert!(matches!(publish(&target, false, "two"), Err(ExportError::Exists(_))));
         publish(&target, true, "three").unwrap();
         assert_eq!(fs::read_to_string(target.join(MANIFEST)).unwrap(), "three");
         assert_eq!(names(&target), ["MODEL_CARD.md", MANIFEST]);

@@ -28,12 +28,7 @@ impl<B: Backend> Codebook<B> {
     fn fresh(entries: Tensor<B, 2>) -> Self {
         let [codes, _] = entries.dims();
         let device = entries.device();
-        Self {
-            sums: entries.clone(),
-            counts: Tensor::ones([codes, 1], &device),
-            entries,
-            device,
-        }
+        Self { sums: entries.clone(), counts: Tensor::ones([codes, 1], &device), entries, device }
     }
 
     /// Draws entries from `vectors` `[n, channels]`, the encoder's outputs for the first batch.
@@ -47,9 +42,7 @@ impl<B: Backend> Codebook<B> {
     pub fn state(&self) -> [HostTensor; 3] {
         [&self.entries, &self.sums, &self.counts].map(|tensor| {
             let mut values = values(tensor).into_iter();
-            HostTensor::from_fn(tensor.dims().to_vec(), |_| {
-                values.next().unwrap_or(f32::NAN)
-            })
+            HostTensor::from_fn(tensor.dims().to_vec(), |_| values.next().unwrap_or(f32::NAN))
         })
     }
 
@@ -82,10 +75,7 @@ impl<B: Backend> Codebook<B> {
         let [vector_count, _] = vectors.dims();
         // The vector's own square is the same for every entry.
         let squares = self.entries.clone().square().sum_dim(1).transpose();
-        let distances = squares
-            - vectors
-                .matmul(self.entries.clone().transpose())
-                .mul_scalar(2.0);
+        let distances = squares - vectors.matmul(self.entries.clone().transpose()).mul_scalar(2.0);
         distances.argmin(1).reshape([vector_count])
     }
 
@@ -138,9 +128,7 @@ impl<B: Backend> Codebook<B> {
         let codes = self.codes();
         let all = Tensor::<B, 1, Int>::arange(0..codes as i64, &self.device).reshape([1, codes]);
         let all = all.expand([vector_count, codes]);
-        let wanted = indices
-            .reshape([vector_count, 1])
-            .expand([vector_count, codes]);
+        let wanted = indices.reshape([vector_count, 1]).expand([vector_count, codes]);
         wanted.equal(all).float()
     }
 }
@@ -167,9 +155,8 @@ fn candidates<B: Backend>(
 ) -> Tensor<B, 2> {
     let [available, channels] = vectors.dims();
     let device = vectors.device();
-    let mut rows: Vec<i32> = (0..count.max(available))
-        .map(|index| (index % available.max(1)) as i32)
-        .collect();
+    let mut rows: Vec<i32> =
+        (0..count.max(available)).map(|index| (index % available.max(1)) as i32).collect();
     // The first `count` places of a shuffle.
     for place in 0..count.min(rows.len()) {
         let left = (rows.len() - place) as u64;
@@ -181,10 +168,5 @@ fn candidates<B: Backend>(
         return chosen;
     }
     let spread = COPY_NOISE / (channels as f64).sqrt();
-    chosen
-        + Tensor::random(
-            [count, channels],
-            Distribution::Normal(0.0, spread),
-            &device,
-        )
+    chosen + Tensor::random([count, channels], Distribution::Normal(0.0, spread), &device)
 }

@@ -24,12 +24,7 @@ impl ConvolutionNet {
             _ => permuted(&weights.weight, [2, 1, 0]),
         };
         Self {
-            plan: Plan {
-                kind,
-                rectified: false,
-                inputs: tensor.dim(1),
-                outputs: tensor.dim(2),
-            },
+            plan: Plan { kind, rectified: false, inputs: tensor.dim(1), outputs: tensor.dim(2) },
             weight: store.push(format!("{name}.weight"), tensor),
             bias: store.push(format!("{name}.bias"), weights.bias.clone()),
         }
@@ -62,10 +57,7 @@ impl ConvolutionNet {
         parameters: &Parameters<B>,
         input: Tensor<B, 3>,
     ) -> Tensor<B, 3> {
-        let plan = Plan {
-            rectified: true,
-            ..self.plan
-        };
+        let plan = Plan { rectified: true, ..self.plan };
         let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
         B::convolve(plan, input, weight, bias)
     }
@@ -97,11 +89,7 @@ fn permuted(tensor: &HostTensor, axes: [usize; 3]) -> HostTensor {
     let strides = axes.map(|axis| strides[axis]);
     let [_, rows, columns] = shape;
     HostTensor::from_fn(shape.to_vec(), |flat| {
-        let index = [
-            flat / (rows * columns),
-            flat / columns % rows,
-            flat % columns,
-        ];
+        let index = [flat / (rows * columns), flat / columns % rows, flat % columns];
         let place: usize = index.iter().zip(strides).map(|(i, s)| i * s).sum();
         tensor.data()[place]
     })

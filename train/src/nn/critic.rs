@@ -66,9 +66,8 @@ impl CriticNet {
         // other.
         let context = Attention::new(self.heads, steps, View::All, 0.0, parameters.device());
         let blocks = self.blocks.iter();
-        let hidden = blocks.fold(states, |hidden, block| {
-            block.forward(parameters, hidden, &context)
-        });
+        let hidden =
+            blocks.fold(states, |hidden, block| block.forward(parameters, hidden, &context));
         let hidden = self.final_norm.forward(parameters, hidden);
         let value = |slot, stream: usize| {
             let rows = hidden.clone().narrow(1, stream * steps, steps);

@@ -33,9 +33,7 @@ impl<B: Backend> KvCache<B> {
     pub fn of(self, pieces: &Tensor<B, 1, Int>) -> Self {
         let blocks = self.blocks.into_iter();
         Self {
-            blocks: blocks
-                .map(|block| block.map(|known| known.of(pieces.clone())))
-                .collect(),
+            blocks: blocks.map(|block| block.map(|known| known.of(pieces.clone()))).collect(),
             ..self
         }
     }
@@ -86,20 +84,14 @@ impl GptNet {
     /// Removes attention from one half of the body to the other: two networks that share weights.
     #[must_use]
     pub fn with_separate_halves(self) -> Self {
-        Self {
-            view: View::OwnAndMusic,
-            ..self
-        }
+        Self { view: View::OwnAndMusic, ..self }
     }
 
     /// Changes the network to codes of the whole body: both streams carry the same ones, and only
     /// the upper head scores the next.
     #[must_use]
     pub fn with_one_code(self) -> Self {
-        Self {
-            one_code: true,
-            ..self
-        }
+        Self { one_code: true, ..self }
     }
 
     /// Whether both streams carry the same codes.
@@ -116,11 +108,7 @@ impl GptNet {
             upper_embedding: store.get(self.upper_embedding).clone(),
             lower_embedding: store.get(self.lower_embedding).clone(),
             positions: store.get(self.positions).clone(),
-            blocks: self
-                .blocks
-                .iter()
-                .map(|block| block.weights(store))
-                .collect(),
+            blocks: self.blocks.iter().map(|block| block.weights(store)).collect(),
             final_norm: self.final_norm.weights(store),
             upper_head: store.get(self.upper_head).transposed(),
             lower_head: store.get(self.lower_head).transposed(),
@@ -151,10 +139,8 @@ impl GptNet {
     /// Returns an empty cache; `None` where a step does not see all streams of the steps before it.
     #[must_use]
     pub fn empty_cache<B: Backend>(&self) -> Option<KvCache<B>> {
-        (self.view == View::All).then(|| KvCache {
-            blocks: vec![None; self.blocks.len()],
-            steps: 0,
-        })
+        (self.view == View::All)
+            .then(|| KvCache { blocks: vec![None; self.blocks.len()], steps: 0 })
     }
 
     /// Computes the scores after one step more than the cache holds, at most `block` in all, as
@@ -215,16 +201,11 @@ impl GptNet {
     ) -> [Tensor<B, 3>; 2] {
         let rows = |slot, codes: Tensor<B, 2, Int>| {
             let [batch, steps] = codes.dims();
-            let rows = parameters
-                .matrix(slot)
-                .select(0, codes.reshape([batch * steps]));
+            let rows = parameters.matrix(slot).select(0, codes.reshape([batch * steps]));
             let [_, channels] = rows.dims();
             rows.reshape([batch, steps, channels])
         };
-        [
-            rows(self.upper_embedding, upper),
-            rows(self.lower_embedding, lower),
-        ]
+        [rows(self.upper_embedding, upper), rows(self.lower_embedding, lower)]
     }
 
     fn embedded_states<B: Kernels>(
@@ -274,9 +255,8 @@ impl GptNet {
         let steps = tokens / STREAMS;
         let context = self.attention(steps, dropout, parameters);
         let blocks = self.blocks.iter().skip(layers);
-        let hidden = blocks.fold(states, |hidden, block| {
-            block.forward(parameters, hidden, &context)
-        });
+        let hidden =
+            blocks.fold(states, |hidden, block| block.forward(parameters, hidden, &context));
         self.scores(parameters, hidden)
     }
 
@@ -319,14 +299,8 @@ mod tests {
 
     /// Upper and lower scores for music, upper and lower codes that are all of one number.
     fn scores(net: impl Fn(GptNet) -> GptNet, [music, upper, lower]: [i32; 3]) -> [Vec<f32>; 2] {
-        let sizes = GptSizes {
-            channels: 8,
-            heads: 2,
-            layers: 3,
-            block: STEPS,
-            codes: [6, 6],
-            columns: 4,
-        };
+        let sizes =
+            GptSizes { channels: 8, heads: 2, layers: 3, block: STEPS, codes: [6, 6], columns: 4 };
         let mut store = Store::default();
         let net = net(GptNet::new(&random_gpt(sizes, 7), &mut store));
         let parameters = Parameters::<Flex>::from_store(&store, &FlexDevice);
@@ -360,14 +334,8 @@ mod tests {
 
     #[test]
     fn a_vector_with_a_single_one_is_a_code() {
-        let sizes = GptSizes {
-            channels: 8,
-            heads: 2,
-            layers: 2,
-            block: 2,
-            codes: [3, 3],
-            columns: 4,
-        };
+        let sizes =
+            GptSizes { channels: 8, heads: 2, layers: 2, block: 2, codes: [3, 3], columns: 4 };
         let mut store = Store::default();
         let net = GptNet::new(&random_gpt(sizes, 7), &mut store);
         let parameters = Parameters::<Flex>::from_store(&store, &FlexDevice);

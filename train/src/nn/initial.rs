@@ -75,9 +75,7 @@ pub fn random_gpt(sizes: GptSizes, seed: u64) -> GptWeights {
         upper_embedding: random.normal(vec![upper, channels]),
         lower_embedding: random.normal(vec![lower, channels]),
         positions: filled(vec![3 * sizes.block, channels], 0.0),
-        blocks: (0..sizes.layers)
-            .map(|_| block(channels, &mut random))
-            .collect(),
+        blocks: (0..sizes.layers).map(|_| block(channels, &mut random)).collect(),
         final_norm: norm(channels),
         upper_head: random.normal(vec![upper, channels]),
         lower_head: random.normal(vec![lower, channels]),
@@ -156,10 +154,7 @@ fn block(channels: usize, random: &mut Random) -> Block {
 }
 
 fn norm(channels: usize) -> LayerNorm {
-    LayerNorm {
-        weight: filled(vec![channels], 1.0),
-        bias: filled(vec![channels], 0.0),
-    }
+    LayerNorm { weight: filled(vec![channels], 1.0), bias: filled(vec![channels], 0.0) }
 }
 
 fn filled(shape: Vec<usize>, value: f32) -> HostTensor {
@@ -193,10 +188,7 @@ impl Random {
     }
 
     fn linear(&mut self, outputs: usize, inputs: usize) -> Linear {
-        Linear {
-            weight: self.normal(vec![outputs, inputs]),
-            bias: filled(vec![outputs], 0.0),
-        }
+        Linear { weight: self.normal(vec![outputs, inputs]), bias: filled(vec![outputs], 0.0) }
     }
 
     /// Uniform within `1 / sqrt(inputs of an output)`.

@@ -100,11 +100,7 @@ impl<B: Backend> Parameters<B> {
         });
         Self {
             tensors: tensors.collect(),
-            shapes: store
-                .entries
-                .iter()
-                .map(|(_, tensor)| tensor.shape().to_vec())
-                .collect(),
+            shapes: store.entries.iter().map(|(_, tensor)| tensor.shape().to_vec()).collect(),
             device: device.clone(),
             observer: None,
         }
@@ -122,10 +118,7 @@ impl<B: Backend> Parameters<B> {
     pub(crate) fn input_ranges(&self, store: &Store) -> Vec<(String, [f32; 2])> {
         let ranges = self.observer.iter().flat_map(|observer| observer.ranges());
         let names = store.entries.iter();
-        ranges
-            .zip(names)
-            .filter_map(|(range, (name, _))| Some((name.clone(), range?)))
-            .collect()
+        ranges.zip(names).filter_map(|(range, (name, _))| Some((name.clone(), range?))).collect()
     }
 
     /// Records an input of a tensor.
@@ -193,11 +186,7 @@ impl<A: AutodiffBackend> Parameters<A> {
     #[must_use]
     pub fn untracked(&self) -> Parameters<A::InnerBackend> {
         Parameters {
-            tensors: self
-                .tensors
-                .iter()
-                .map(|tensor| tensor.clone().inner())
-                .collect(),
+            tensors: self.tensors.iter().map(|tensor| tensor.clone().inner()).collect(),
             shapes: self.shapes.clone(),
             device: self.device.clone(),
             observer: None,

@@ -24,18 +24,16 @@ struct Seen {
 impl RangeObserver {
     /// Observes this many tensors, none of which has been used.
     pub(super) fn new(tensors: usize) -> Self {
-        Self {
-            seen: Mutex::new(vec![Seen::default(); tensors]),
-        }
+        Self { seen: Mutex::new(vec![Seen::default(); tensors]) }
     }
 
     /// Records a tensor's next input.
     pub(super) fn record<B: Backend, const D: usize>(&self, tensor: usize, input: &Tensor<B, D>) {
         let input = values(input);
-        let [least, largest] = input.iter().fold(
-            [f32::INFINITY, f32::NEG_INFINITY],
-            |[least, largest], &x| [least.min(x), largest.max(x)],
-        );
+        let [least, largest] =
+            input.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |[least, largest], &x| {
+                [least.min(x), largest.max(x)]
+            });
         let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(seen) = seen.get_mut(tensor) {
             seen.least += f64::from(least);

@@ -56,11 +56,7 @@ impl<B: Backend> Attention<B> {
         dropout: f64,
         device: &B::Device,
     ) -> Self {
-        Self {
-            heads,
-            mask: causal_mask(steps, view, device),
-            dropout,
-        }
+        Self { heads, mask: causal_mask(steps, view, device), dropout }
     }
 }
 
@@ -85,10 +81,7 @@ impl<B: Backend> KeysAndValues<B> {
 
     /// Keeps some rows of the batch.
     pub(super) fn of(self, rows: Tensor<B, 1, Int>) -> Self {
-        Self {
-            keys: self.keys.select(0, rows.clone()),
-            values: self.values.select(0, rows),
-        }
+        Self { keys: self.keys.select(0, rows.clone()), values: self.values.select(0, rows) }
     }
 }
 
@@ -193,19 +186,14 @@ impl BlockNet {
         context: &Attention<B>,
     ) -> Tensor<B, 3> {
         let part = |linear: &LinearNet| linear.forward(parameters, input.clone());
-        let queries = Queries {
-            query: part(&self.query),
-            key: part(&self.key),
-            value: part(&self.value),
-        };
+        let queries =
+            Queries { query: part(&self.query), key: part(&self.key), value: part(&self.value) };
         let [batch, length, _] = input.dims();
         let kept = (context.dropout > 0.0).then(|| {
             let like = Tensor::empty([batch, context.heads, length, length], &input.device());
             B::kept(&like, context.dropout)
         });
-        let heads = Heads {
-            count: context.heads,
-        };
+        let heads = Heads { count: context.heads };
         let mixed = B::attend(heads, queries, context.mask.clone(), kept);
         self.projection.forward(parameters, mixed)
     }
@@ -231,10 +219,7 @@ impl LinearNet {
     }
 
     pub(super) fn weights(&self, store: &Store) -> Linear {
-        Linear {
-            weight: store.get(self.weight).transposed(),
-            bias: store.get(self.bias).clone(),
-        }
+        Linear { weight: store.get(self.weight).transposed(), bias: store.get(self.bias).clone() }
     }
 
     pub(super) fn forward<B: Kernels>(
@@ -269,10 +254,7 @@ impl NormNet {
     }
 
     pub(super) fn weights(&self, store: &Store) -> LayerNorm {
-        LayerNorm {
-            weight: store.get(self.weight).clone(),
-            bias: store.get(self.bias).clone(),
-        }
+        LayerNorm { weight: store.get(self.weight).clone(), bias: store.get(self.bias).clone() }
     }
 
     pub(super) fn forward<B: Kernels>(
@@ -311,10 +293,8 @@ mod tests {
     /// The streams that the last step of each stream sees, and whether any step sees a later one.
     fn seen(view: View) -> ([Vec<usize>; STREAMS], bool) {
         const STEPS: usize = 4;
-        let mask: Vec<bool> = causal_mask::<Flex>(STEPS, view, &FlexDevice)
-            .into_data()
-            .iter::<bool>()
-            .collect();
+        let mask: Vec<bool> =
+            causal_mask::<Flex>(STEPS, view, &FlexDevice).into_data().iter::<bool>().collect();
         let length = STREAMS * STEPS;
         let sees = |seer: usize, seen: usize| !mask[seer * length + seen];
         let streams = [0, 1, 2].map(|stream| {

@@ -112,11 +112,7 @@ impl DecoderNet {
         });
         let levels = levels.collect();
         let output = ConvolutionNet::new(&format!("{name}.output"), plain, &weights.output, store);
-        Self {
-            input,
-            levels,
-            output,
-        }
+        Self { input, levels, output }
     }
 
     /// Returns the weights in `store`.

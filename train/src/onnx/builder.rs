@@ -65,10 +65,7 @@ pub(super) struct GraphBuilder {
 impl GraphBuilder {
     pub(super) fn new(name: &str, storage: WeightStorage) -> Self {
         Self {
-            graph: proto::Graph {
-                name: name.to_owned(),
-                ..proto::Graph::default()
-            },
+            graph: proto::Graph { name: name.to_owned(), ..proto::Graph::default() },
             storage,
             ranges: InputRanges::default(),
             version: Version::GELU,
@@ -195,10 +192,8 @@ impl GraphBuilder {
 
     /// Splits `value` into equal parts along `axis`.
     pub(super) fn split<const PARTS: usize>(&mut self, value: &Value, axis: i64) -> [Value; PARTS] {
-        let attributes = [
-            ("axis", Attribute::Int(axis)),
-            ("num_outputs", Attribute::Int(PARTS as i64)),
-        ];
+        let attributes =
+            [("axis", Attribute::Int(axis)), ("num_outputs", Attribute::Int(PARTS as i64))];
         self.apply_for("Split", &[value], &attributes)
     }
 
@@ -219,10 +214,7 @@ impl GraphBuilder {
             name: output.first().cloned().unwrap_or_default(),
             output,
             op_type: operator.to_owned(),
-            attribute: attributes
-                .iter()
-                .map(|&(name, value)| attribute(name, value))
-                .collect(),
+            attribute: attributes.iter().map(|&(name, value)| attribute(name, value)).collect(),
         });
     }
 
@@ -248,10 +240,7 @@ impl GraphBuilder {
         for &value in tensor.data() {
             let half = f16::from_f32(value);
             if !half.is_finite() && self.error.is_none() {
-                self.error = Some(GraphError::HalfRange {
-                    weight: name.to_owned(),
-                    value,
-                });
+                self.error = Some(GraphError::HalfRange { weight: name.to_owned(), value });
             }
             raw.extend(half.to_le_bytes());
         }
@@ -260,10 +249,7 @@ impl GraphBuilder {
 }
 
 fn attribute(name: &str, value: Attribute<'_>) -> proto::Attribute {
-    let mut attribute = proto::Attribute {
-        name: name.to_owned(),
-        ..proto::Attribute::default()
-    };
+    let mut attribute = proto::Attribute { name: name.to_owned(), ..proto::Attribute::default() };
     match value {
         Attribute::Int(value) => {
             attribute.i = Some(value);
@@ -287,14 +273,8 @@ fn attribute(name: &str, value: Attribute<'_>) -> proto::Attribute {
 
 fn value_info(name: &str, element: Element, shape: &[Dim<'_>]) -> proto::ValueInfo {
     let dim = shape.iter().map(|dim| match *dim {
-        Dim::Fixed(size) => proto::Dimension {
-            value: Some(size as i64),
-            name: None,
-        },
-        Dim::Named(name) => proto::Dimension {
-            value: None,
-            name: Some(name.to_owned()),
-        },
+        Dim::Fixed(size) => proto::Dimension { value: Some(size as i64), name: None },
+        Dim::Named(name) => proto::Dimension { value: None, name: Some(name.to_owned()) },
     });
     let tensor = proto::TensorKind {
         element: match element {
@@ -303,12 +283,7 @@ fn value_info(name: &str, element: Element, shape: &[Dim<'_>]) -> proto::ValueIn
         },
         shape: Some(proto::Shape { dim: dim.collect() }),
     };
-    proto::ValueInfo {
-        name: name.to_owned(),
-        kind: Some(proto::Kind {
-            tensor: Some(tensor),
-        }),
-    }
+    proto::ValueInfo { name: name.to_owned(), kind: Some(proto::Kind { tensor: Some(tensor) }) }
 }
 
 #[cfg(test)]
@@ -326,17 +301,13 @@ mod tests {
     #[test]
     fn weights_of_half_precision_are_stored_without_loss() {
         let mut graph = GraphBuilder::new("g", WeightStorage::F16);
-        let weights: Vec<f32> = (0..64)
-            .map(|i| f16::from_f32((i as f32).sin()).to_f32())
-            .collect();
+        let weights: Vec<f32> = (0..64).map(|i| f16::from_f32((i as f32).sin()).to_f32()).collect();
         graph.weight("w", &HostTensor::from_fn(vec![64], |i| weights[i]));
         let model = proto::Model::decode(&*graph.finish().unwrap()).unwrap();
         let stored = &model.graph.unwrap().initializer[0];
         assert_eq!(stored.data_type, proto::FLOAT16);
         let bytes = stored.raw_data.as_chunks::<2>().0.iter();
-        let found: Vec<f32> = bytes
-            .map(|&bytes| f16::from_le_bytes(bytes).to_f32())
-            .collect();
+        let found: Vec<f32> = bytes.map(|&bytes| f16::from_le_bytes(bytes).to_f32()).collect();
         assert_eq!(found, weights);
     }
 

@@ -34,43 +34,21 @@ pub fn decoder_graph(
     let codes = [Dim::Named("batch"), Dim::Named("codes")];
     let upper = graph.input("upper", Int, &codes);
     let lower = graph.input("lower", Int, &codes);
-    let upper = embed(
-        &mut graph,
-        "upper.codebook",
-        &weights.upper.codebook,
-        &upper,
-    );
-    let lower = embed(
-        &mut graph,
-        "lower.codebook",
-        &weights.lower.codebook,
-        &lower,
-    );
+    let upper = embed(&mut graph, "upper.codebook", &weights.upper.codebook, &upper);
+    let lower = embed(&mut graph, "lower.codebook", &weights.lower.codebook, &lower);
 
     let velocity = decode(&mut graph, "root", &weights.root, &lower);
     let lower = decode(&mut graph, "lower", &weights.lower.decoder, &lower);
     let upper = decode(&mut graph, "upper", &weights.upper.decoder, &upper);
 
     let channels = Attribute::Int(1);
-    let all = graph.apply(
-        "Concat",
-        &[&velocity, &lower, &upper],
-        &[("axis", channels)],
-    );
+    let all = graph.apply("Concat", &[&velocity, &lower, &upper], &[("axis", channels)]);
     let order = column_order(weights.root_columns());
     let columns = order.len();
     let order = graph.ints("column_order", &order);
     let ordered = graph.apply("Gather", &[&all, &order], &[("axis", channels)]);
-    let motion = graph.apply(
-        "Transpose",
-        &[&ordered],
-        &[("perm", Attribute::Ints(&[0, 2, 1]))],
-    );
-    let shape = [
-        Dim::Named("batch"),
-        Dim::Named("frames"),
-        Dim::Fixed(columns),
-    ];
+    let motion = graph.apply("Transpose", &[&ordered], &[("perm", Attribute::Ints(&[0, 2, 1]))]);
+    let shape = [Dim::Named("batch"), Dim::Named("frames"), Dim::Fixed(columns)];
     graph.output("motion", &motion, Float, &shape);
     graph.finish()
 }
@@ -82,11 +60,7 @@ fn column_order(root_columns: usize) -> Vec<i64> {
     let halves = lower.iter().chain(&upper);
     for (place, &joint) in halves.enumerate() {
         // The root is the first joint of the lower half: its columns give way to the velocity.
-        let source = if joint == 0 {
-            0
-        } else {
-            root_columns + COORDINATES * place
-        };
+        let source = if joint == 0 { 0 } else { root_columns + COORDINATES * place };
         for coordinate in 0..COORDINATES {
             if let Some(column) = order.get_mut(COORDINATES * joint + coordinate) {
                 *column = (source + coordinate) as i64;
@@ -100,44 +74,19 @@ fn column_order(root_columns: usize) -> Vec<i64> {
 /// Codes to their embeddings, `[batch, embedding, codes]`.
 fn embed(graph: &mut GraphBuilder, name: &str, codebook: &HostTensor, codes: &Value) -> Value {
     let codebook = graph.weight(name, codebook);
-    let rows = graph.apply(
-        "Gather",
-        &[&codebook, codes],
-        &[("axis", Attribute::Int(0))],
-    );
-    graph.apply(
-        "Transpose",
-        &[&rows],
-        &[("perm", Attribute::Ints(&[0, 2, 1]))],
-    )
+    let rows = graph.apply("Gather", &[&codebook, codes], &[("axis", Attribute::Int(0))]);
+    graph.apply("Transpose", &[&rows], &[("perm", Attribute::Ints(&[0, 2, 1]))])
 }
 
 fn decode(graph: &mut GraphBuilder, name: &str, weights: &DecoderWeights, input: &Value) -> Value {
-    let mut hidden = convolve(
-        graph,
-        &format!("{name}.input"),
-        &weights.input,
-        input,
-        &PLAIN,
-    );
+    let mut hidden = convolve(graph, &format!("{name}.input"), &weights.input, input, &PLAIN);
     for (level, layer) in weights.levels.iter().enumerate() {
         let name = format!("{name}.levels.{level}");
         hidden = stack(graph, &name, &layer.stack, &hidden);
-        hidden = convolve(
-            graph,
-            &format!("{name}.transposed"),
-            &layer.transposed,
-            &hidden,
-            &DOUBLING,
-        );
+        hidden =
+            convolve(graph, &format!("{name}.transposed"), &layer.transposed, &hidden, &DOUBLING);
     }
-    convolve(
-        graph,
-        &format!("{name}.output"),
-        &weights.output,
-        &hidden,
-        &PLAIN,
-    )
+    convolve(graph, &format!("{name}.output"), &weights.output, &hidden, &PLAIN)
 }
 
 /// How a convolution moves along time.
@@ -151,34 +100,16 @@ pub(super) struct Motion {
 /// Kernel 3, keeps the length.
 pub(super) const PLAIN: Motion = Motion::same(1);
 /// Kernel 1.
-const POINTWISE: Motion = Motion {
-    operator: "Conv",
-    padding: 0,
-    stride: 1,
-    dilation: 1,
-};
+const POINTWISE: Motion = Motion { operator: "Conv", padding: 0, stride: 1, dilation: 1 };
 /// Kernel 4, halves the length.
-pub(super) const HALVING: Motion = Motion {
-    operator: "Conv",
-    padding: 1,
-    stride: 2,
-    dilation: 1,
-};
+pub(super) const HALVING: Motion = Motion { operator: "Conv", padding: 1, stride: 2, dilation: 1 };
 /// Kernel 4, doubles the length.
-const DOUBLING: Motion = Motion {
-    operator: "ConvTranspose",
-    ..HALVING
-};
+const DOUBLING: Motion = Motion { operator: "ConvTranspose", ..HALVING };
 
 impl Motion {
     /// Kernel 3 with `dilation`, keeps the length.
     const fn same(dilation: i64) -> Self {
-        Self {
-            operator: "Conv",
-            padding: dilation,
-            stride: 1,
-            dilation,
-        }
+        Self { operator: "Conv", padding: dilation, stride: 1, dilation }
     }
 }
 
@@ -195,22 +126,10 @@ pub(super) fn stack(
         let dilation = i64::try_from(block.dilation).unwrap_or(i64::MAX);
         let active = graph.apply("Relu", &[&hidden], &[]);
         let name_dilated = format!("{name}.dilated");
-        let wide = convolve(
-            graph,
-            &name_dilated,
-            &block.dilated,
-            &active,
-            &Motion::same(dilation),
-        );
+        let wide = convolve(graph, &name_dilated, &block.dilated, &active, &Motion::same(dilation));
         let active = graph.apply("Relu", &[&wide], &[]);
         let name_pointwise = format!("{name}.pointwise");
-        let change = convolve(
-            graph,
-            &name_pointwise,
-            &block.pointwise,
-            &active,
-            &POINTWISE,
-        );
+        let change = convolve(graph, &name_pointwise, &block.pointwise, &active, &POINTWISE);
         hidden = graph.apply("Add", &[&hidden, &change], &[]);
     }
     hidden

@@ -35,11 +35,7 @@ pub fn encoder_graph(
     let (upper_joints, lower_joints) = HALF_JOINTS;
     let mut graph = GraphBuilder::new("pose_encoder", storage);
     let columns = COORDINATES * (upper_joints.len() + lower_joints.len());
-    let shape = [
-        Dim::Named("batch"),
-        Dim::Named("frames"),
-        Dim::Fixed(columns),
-    ];
+    let shape = [Dim::Named("batch"), Dim::Named("frames"), Dim::Fixed(columns)];
     let motion = graph.input("motion", Float, &shape);
     let order = [("perm", Attribute::Ints(&[0, 2, 1]))];
     let motion = graph.apply("Transpose", &[&motion], &order);
@@ -48,12 +44,7 @@ pub fn encoder_graph(
         ("lower", &weights.lower, lower_joints.as_slice()),
     ] {
         let codes = encode_half(&mut graph, name, half, joints, &motion);
-        graph.output(
-            name,
-            &codes,
-            Int,
-            &[Dim::Named("batch"), Dim::Named("codes")],
-        );
+        graph.output(name, &codes, Int, &[Dim::Named("batch"), Dim::Named("codes")]);
     }
     graph.finish()
 }
@@ -71,11 +62,7 @@ fn encode_half(
         .flat_map(|joint| (0..COORDINATES).map(move |c| (COORDINATES * joint + c) as i64))
         .collect();
     let columns = graph.ints(&format!("{name}.columns"), &columns);
-    let input = graph.apply(
-        "Gather",
-        &[motion, &columns],
-        &[("axis", Attribute::Int(1))],
-    );
+    let input = graph.apply("Gather", &[motion, &columns], &[("axis", Attribute::Int(1))]);
     let still = COORDINATES * (joints.len() - moving.len());
     let hidden = encode(graph, name, &half.encoder, still, &input);
     nearest(graph, name, &half.codebook, &hidden)
@@ -97,22 +84,10 @@ fn encode(
             0 => without_inputs(&layer.strided, still),
             _ => layer.strided.clone(),
         };
-        hidden = convolve(
-            graph,
-            &format!("{name}.strided"),
-            &strided,
-            &hidden,
-            &HALVING,
-        );
+        hidden = convolve(graph, &format!("{name}.strided"), &strided, &hidden, &HALVING);
         hidden = stack(graph, &name, &layer.stack, &hidden);
     }
-    convolve(
-        graph,
-        &format!("{name}.output"),
-        &weights.output,
-        &hidden,
-        &PLAIN,
-    )
+    convolve(graph, &format!("{name}.output"), &weights.output, &hidden, &PLAIN)
 }
 
 /// The convolution without its first `count` input channels.
@@ -133,23 +108,12 @@ fn without_inputs(convolution: &Convolution, count: usize) -> Convolution {
 
 /// `argmin |x - e|^2` over the rows `e`; `|x|^2` is the same for all rows and left out.
 fn nearest(graph: &mut GraphBuilder, name: &str, codebook: &HostTensor, hidden: &Value) -> Value {
-    let vectors = graph.apply(
-        "Transpose",
-        &[hidden],
-        &[("perm", Attribute::Ints(&[0, 2, 1]))],
-    );
+    let vectors = graph.apply("Transpose", &[hidden], &[("perm", Attribute::Ints(&[0, 2, 1]))]);
     let codebook = graph.weight(&format!("{name}.codebook"), codebook);
     let axis = graph.ints(&format!("{name}.embedding_axis"), &[1]);
-    let norms = graph.apply(
-        "ReduceSumSquare",
-        &[&codebook, &axis],
-        &[("keepdims", Attribute::Int(0))],
-    );
-    let columns = graph.apply(
-        "Transpose",
-        &[&codebook],
-        &[("perm", Attribute::Ints(&[1, 0]))],
-    );
+    let norms =
+        graph.apply("ReduceSumSquare", &[&codebook, &axis], &[("keepdims", Attribute::Int(0))]);
+    let columns = graph.apply("Transpose", &[&codebook], &[("perm", Attribute::Ints(&[1, 0]))]);
     let products = graph.apply("MatMul", &[&vectors, &columns], &[]);
     let twice = graph.apply("Add", &[&products, &products], &[]);
     let distances = graph.apply("Sub", &[&norms, &twice], &[]);

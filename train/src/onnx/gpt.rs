@@ -77,9 +77,8 @@ impl GptGraph<'_> {
         let lower = self.gather("lower_embedding", &weights.lower_embedding, &lower);
         let block = weights.block();
         let mut streams = Vec::new();
-        for (stream, (name, value)) in [("music", music), ("upper", upper), ("lower", lower)]
-            .into_iter()
-            .enumerate()
+        for (stream, (name, value)) in
+            [("music", music), ("upper", upper), ("lower", lower)].into_iter().enumerate()
         {
             // One table a stream: a position outside its block is an error, not another stream's.
             let table = weights.positions.rows(stream * block, (stream + 1) * block);
@@ -87,16 +86,13 @@ impl GptGraph<'_> {
             streams.push(self.graph.apply("Add", &[&value, &place], &[]));
         }
         let streams: Vec<&Value> = streams.iter().collect();
-        self.graph
-            .apply("Concat", &streams, &[("axis", Attribute::Int(1))])
+        self.graph.apply("Concat", &streams, &[("axis", Attribute::Int(1))])
     }
 
     /// Never quantised: raw columns differ in scale by orders of magnitude, and one scale for all
     /// of them would leave nothing of the small ones.
     fn music(&mut self, linear: &Linear, rows: &Value) -> Value {
-        let matrix = self
-            .graph
-            .weight("music.weight", &linear.weight.transposed());
+        let matrix = self.graph.weight("music.weight", &linear.weight.transposed());
         let bias = self.graph.weight("music.bias", &linear.bias);
         let product = self.graph.apply("MatMul", &[rows, &matrix], &[]);
         self.graph.apply("Add", &[&product, &bias], &[])
@@ -114,11 +110,8 @@ impl GptGraph<'_> {
 
     fn block(&mut self, layer: usize, block: &Block, hidden: &Value, bias: &Value) -> Value {
         let name = format!("blocks.{layer}");
-        let normal = self.layer_norm(
-            &format!("{name}.attention_norm"),
-            &block.attention_norm,
-            hidden,
-        );
+        let normal =
+            self.layer_norm(&format!("{name}.attention_norm"), &block.attention_norm, hidden);
         let attended = self.attention(layer, block, &normal, bias);
         let hidden = self.graph.apply("Add", &[hidden, &attended], &[]);
 
@@ -159,8 +152,7 @@ impl GptGraph<'_> {
 
     fn past(&mut self, kind: &str, layer: usize) -> Value {
         let shape = self.cache_shape("past_tokens");
-        self.graph
-            .input(&format!("past_{kind}.{layer}"), Float, &shape)
+        self.graph.input(&format!("past_{kind}.{layer}"), Float, &shape)
     }
 
     /// `[batch, heads, tokens, head size]`.
@@ -178,28 +170,18 @@ impl GptGraph<'_> {
         let weights = self.weights;
         let normal = self.layer_norm("final_norm", &weights.final_norm, hidden);
         let [_music, upper, lower] = self.graph.split::<3>(&normal, 1);
-        for (name, head, third) in [
-            ("upper", &weights.upper_head, upper),
-            ("lower", &weights.lower_head, lower),
-        ] {
-            let logits = self
-                .graph
-                .product(&format!("{name}_head"), &head.transposed(), &third);
-            let shape = [
-                Dim::Named("batch"),
-                Dim::Named("steps"),
-                Dim::Fixed(head.dim(0)),
-            ];
-            self.graph
-                .output(&format!("{name}_logits"), &logits, Float, &shape);
+        for (name, head, third) in
+            [("upper", &weights.upper_head, upper), ("lower", &weights.lower_head, lower)]
+        {
+            let logits = self.graph.product(&format!("{name}_head"), &head.transposed(), &third);
+            let shape = [Dim::Named("batch"), Dim::Named("steps"), Dim::Fixed(head.dim(0))];
+            self.graph.output(&format!("{name}_logits"), &logits, Float, &shape);
         }
     }
 
     fn linear(&mut self, name: &str, linear: &Linear, input: &Value) -> Value {
         let matrix = linear.weight.transposed();
-        let product = self
-            .graph
-            .product(&format!("{name}.weight"), &matrix, input);
+        let product = self.graph.product(&format!("{name}.weight"), &matrix, input);
         let bias = self.graph.weight(&format!("{name}.bias"), &linear.bias);
         self.graph.apply("Add", &[&product, &bias], &[])
     }
@@ -207,17 +189,13 @@ impl GptGraph<'_> {
     fn layer_norm(&mut self, name: &str, norm: &LayerNorm, input: &Value) -> Value {
         let weight = self.graph.weight(&format!("{name}.weight"), &norm.weight);
         let bias = self.graph.weight(&format!("{name}.bias"), &norm.bias);
-        let attributes = [
-            ("axis", Attribute::Int(-1)),
-            ("epsilon", Attribute::Float(LAYER_NORM_EPSILON)),
-        ];
-        self.graph
-            .apply("LayerNormalization", &[input, &weight, &bias], &attributes)
+        let attributes =
+            [("axis", Attribute::Int(-1)), ("epsilon", Attribute::Float(LAYER_NORM_EPSILON))];
+        self.graph.apply("LayerNormalization", &[input, &weight, &bias], &attributes)
     }
 
     fn gather(&mut self, name: &str, table: &HostTensor, rows: &Value) -> Value {
         let table = self.graph.weight(name, table);
-        self.graph
-            .apply("Gather", &[&table, rows], &[("axis", Attribute::Int(0))])
+        self.graph.apply("Gather", &[&table, rows], &[("axis", Attribute::Int(0))])
     }
 }

@@ -51,22 +51,15 @@ impl GraphBuilder {
         range: [f32; 2],
     ) -> Value {
         let (step, zero) = step_and_zero(range);
-        let step = self.float(
-            &format!("{name}.step"),
-            &HostTensor::from_fn(vec![], |_| step),
-        );
+        let step = self.float(&format!("{name}.step"), &HostTensor::from_fn(vec![], |_| step));
         let zero = self.initializer(&format!("{name}.zero"), &[], proto::UINT8, vec![zero]);
         let quantised = self.apply("QuantizeLinear", &[input, &step, &zero], &[]);
         let input = self.apply("DequantizeLinear", &[&quantised, &step, &zero], &[]);
 
         let (weight, scales) = self.quantised_matrix(name, matrix);
         let centres = vec![0; matrix.dim(1)];
-        let centres = self.initializer(
-            &format!("{name}.centres"),
-            &[matrix.dim(1)],
-            proto::INT8,
-            centres,
-        );
+        let centres =
+            self.initializer(&format!("{name}.centres"), &[matrix.dim(1)], proto::INT8, centres);
         let columns = [("axis", Attribute::Int(1))];
         let matrix = self.apply("DequantizeLinear", &[&weight, &scales, &centres], &columns);
         self.apply("MatMul", &[&input, &matrix], &[])
@@ -81,10 +74,7 @@ impl GraphBuilder {
     ) -> Value {
         let (weight, scales) = self.quantised_matrix(name, matrix);
         let scalar = |graph: &mut Self, part: &str, value: f32| {
-            graph.float(
-                &format!("{name}.{part}"),
-                &HostTensor::from_fn(vec![], |_| value),
-            )
+            graph.float(&format!("{name}.{part}"), &HostTensor::from_fn(vec![], |_| value))
         };
         let smallest = scalar(self, "smallest", SMALLEST);
         let step = scalar(self, "step", 1.0 / LARGEST);
@@ -109,12 +99,8 @@ impl GraphBuilder {
     /// The bytes of a matrix, and the scales of its columns.
     fn quantised_matrix(&mut self, name: &str, matrix: &HostTensor) -> (Value, Value) {
         let columns = Columns::of(matrix);
-        let weight = self.initializer(
-            &format!("{name}.int8"),
-            matrix.shape(),
-            proto::INT8,
-            columns.bytes,
-        );
+        let weight =
+            self.initializer(&format!("{name}.int8"), matrix.shape(), proto::INT8, columns.bytes);
         let outputs = columns.scales.len();
         let scales = HostTensor::from_fn(vec![outputs], |column| columns.scales[column]);
         (weight, self.float(&format!("{name}.scales"), &scales))
@@ -217,19 +203,13 @@ mod tests {
         let product = graph.product("matrix", matrix, &input);
         graph.output("product", &product, Element::Float, &shape(matrix.dim(1)));
         let bytes = graph.finish().unwrap();
-        let mut session = Session::builder(environment())
-            .unwrap()
-            .commit_from_memory(&bytes)
-            .unwrap();
+        let mut session =
+            Session::builder(environment()).unwrap().commit_from_memory(&bytes).unwrap();
         move |rows| {
             let input = ([rows.len() / inputs, inputs], rows.to_vec());
             let input = ort::value::Tensor::from_array(input).unwrap();
             let outputs = session.run(ort::inputs! { "input" => input }).unwrap();
-            outputs["product"]
-                .try_extract_tensor::<f32>()
-                .unwrap()
-                .1
-                .to_vec()
+            outputs["product"].try_extract_tensor::<f32>().unwrap().1.to_vec()
         }
     }
 
@@ -270,9 +250,7 @@ mod tests {
         for (row, input) in rows.chunks(INPUTS).enumerate() {
             let found = &together[3 * row..3 * row + 3];
             assert_eq!(run(input), found);
-            let largest = input
-                .iter()
-                .fold(0.0_f32, |largest, x| largest.max(x.abs()));
+            let largest = input.iter().fold(0.0_f32, |largest, x| largest.max(x.abs()));
             let step = f64::from(largest.max(SMALLEST) / LARGEST);
             let wanted = by_definition(input, &columns, step, [-127.0, 127.0]);
             for (&found, wanted) in found.iter().zip(wanted) {
@@ -300,10 +278,7 @@ mod tests {
             assert_eq!(run(input), found);
             let wanted = by_definition(input, &columns, f64::from(step), bytes);
             for (&found, wanted) in found.iter().zip(wanted) {
-                assert!(
-                    (f64::from(found) - wanted).abs() < 1e-4,
-                    "{row}: {found} {wanted}"
-                );
+                assert!((f64::from(found) - wanted).abs() < 1e-4, "{row}: {found} {wanted}");
             }
         }
     }

@@ -8,24 +8,17 @@ use crate::weights::{DecoderWeights, VqVaeWeights};
 /// whose receptive field lies inside the chunk do not.
 #[must_use]
 pub fn receptive_codes(weights: &VqVaeWeights) -> usize {
-    [
-        &weights.upper.decoder,
-        &weights.lower.decoder,
-        &weights.root,
-    ]
-    .into_iter()
-    .map(decoder_reach)
-    .max()
-    .unwrap_or(0)
+    [&weights.upper.decoder, &weights.lower.decoder, &weights.root]
+        .into_iter()
+        .map(decoder_reach)
+        .max()
+        .unwrap_or(0)
 }
 
 /// Follows the frames of code 0 back through the layers, as an interval of input positions.
 fn decoder_reach(decoder: &DecoderWeights) -> usize {
     let frames = 1_i64 << decoder.levels.len();
-    let mut reach = Interval {
-        first: 0,
-        last: frames - 1,
-    };
+    let mut reach = Interval { first: 0, last: frames - 1 };
     reach.widen(1);
     for level in decoder.levels.iter().rev() {
         reach.through_doubling();
@@ -67,15 +60,9 @@ mod tests {
         for output in -9_i64..9 {
             let inputs = (-20..20).filter(|i| (2 * i - 1..=2 * i + 2).contains(&output));
             let inputs: Vec<i64> = inputs.collect();
-            let mut reach = Interval {
-                first: output,
-                last: output,
-            };
+            let mut reach = Interval { first: output, last: output };
             reach.through_doubling();
-            assert_eq!(
-                (reach.first, reach.last),
-                (inputs[0], inputs[inputs.len() - 1])
-            );
+            assert_eq!((reach.first, reach.last), (inputs[0], inputs[inputs.len() - 1]));
         }
     }
 }

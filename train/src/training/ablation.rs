@@ -34,11 +34,7 @@ impl Config {
     /// Returns the motion columns that each half of the VQ-VAE takes and gives; `None` is a column
     /// of zeros. With `whole_body` both halves are the whole body.
     pub(super) fn pose_columns(&self) -> [Vec<Option<usize>>; 2] {
-        let AblationConfig {
-            whole_body,
-            root_in_pose,
-            ..
-        } = self.ablation;
+        let AblationConfig { whole_body, root_in_pose, .. } = self.ablation;
         let columns = |joints: &[usize], has_root: bool| -> Vec<Option<usize>> {
             let columns = joints.iter().flat_map(|&joint| {
                 let known = joint != 0 || root_in_pose;

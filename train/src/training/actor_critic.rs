@@ -238,9 +238,8 @@ impl<A: Trainable> TrainableStage<A> for ActorCriticStage<'_, A> {
         let states = Tensor::<A, 3>::from_inner(states);
         let values = self.critic.forward(parameters, states.clone());
         let td_error = batch.td_error(values.clone(), stage.discount);
-        let mut advantage = batch
-            .generalised_advantage(td_error.clone(), stage.discount * stage.trace)
-            .detach();
+        let mut advantage =
+            batch.generalised_advantage(td_error.clone(), stage.discount * stage.trace).detach();
         // The published loss squares the TD error, with a derivative through both values; a trace
         // needs a fixed target.
         let critic = batch.mean(match stage.trace {
@@ -261,17 +260,11 @@ impl<A: Trainable> TrainableStage<A> for ActorCriticStage<'_, A> {
         let actor = batch.mean(cross_entropy * advantage);
         let entropy = batch.mean(entropy);
         let actor = actor - entropy.clone().mul_scalar(stage.entropy_weight)
-            + divergence
-                .clone()
-                .mul_scalar(stage.divergence_weight_at(step));
+            + divergence.clone().mul_scalar(stage.divergence_weight_at(step));
         let [actor_value, critic_value, entropy] =
             [&actor, &critic, &entropy].map(|loss| loss.clone().inner());
-        let mut metrics = vec![
-            actor_value.clone() + critic_value.clone(),
-            actor_value,
-            critic_value,
-            entropy,
-        ];
+        let mut metrics =
+            vec![actor_value.clone() + critic_value.clone(), actor_value, critic_value, entropy];
         let means = rollout.mean_rewards;
         metrics.extend(means.map(|mean| Tensor::from_floats([mean], &self.device)));
         metrics.push(divergence.inner());
@@ -330,10 +323,7 @@ fn rollout_plan(
     };
     rollout_plan.keep_usable();
     if rollout_plan.songs.is_empty() {
-        return Err(TrainError::TooShort {
-            length: config.gpt.block + 1,
-            unit: "rows of music",
-        });
+        return Err(TrainError::TooShort { length: config.gpt.block + 1, unit: "rows of music" });
     }
     if rollout_plan.pieces == 0 {
         rollout_plan.pieces = rollout_plan.songs.len();
@@ -342,10 +332,9 @@ fn rollout_plan(
 }
 
 fn scaled(songs: &[Song], policy: &Policy) -> Vec<Song> {
-    let songs = songs.iter().map(|song| Song {
-        rows: policy.scaled(&song.rows),
-        beats: song.beats.clone(),
-    });
+    let songs = songs
+        .iter()
+        .map(|song| Song { rows: policy.scaled(&song.rows), beats: song.beats.clone() });
     songs.collect()
 }
 
@@ -384,11 +373,7 @@ mod tests {
     #[test]
     fn turns_follow_each_other() {
         let mut stage = Config::parse("").unwrap().actor_critic;
-        (
-            stage.critic_warmup_steps,
-            stage.actor_steps,
-            stage.critic_steps,
-        ) = (1, 2, 3);
+        (stage.critic_warmup_steps, stage.actor_steps, stage.critic_steps) = (1, 2, 3);
         for (step, wanted) in "CAACCCAACCCAA".chars().enumerate() {
             let wanted = match wanted {
                 'A' => Turn::Actor,
@@ -397,10 +382,7 @@ mod tests {
             assert_eq!(stage.turn(step as u64), wanted, "{step}");
         }
         stage.critic_steps = 0;
-        assert_eq!(
-            [0, 1, 3].map(|step| stage.turn(step)),
-            [Turn::Critic, Turn::Both, Turn::Both]
-        );
+        assert_eq!([0, 1, 3].map(|step| stage.turn(step)), [Turn::Critic, Turn::Both, Turn::Both]);
     }
 
     /// A policy that knows nothing, with small windows.
@@ -411,19 +393,12 @@ mod tests {
         config.gpt.block = 8;
         let stage = &mut config.actor_critic;
         (stage.pieces_per_epoch, stage.codes) = (8, 16);
-        (
-            stage.training.batch,
-            stage.training.epochs,
-            stage.training.rate,
-        ) = (24, 20, 3e-3);
+        (stage.training.batch, stage.training.epochs, stage.training.rate) = (24, 20, 3e-3);
         let mut store = Store::default();
         let policy = Policy {
             net: GptNet::new(&random(&config, COLUMNS), &mut store),
             store,
-            scale: MusicScale {
-                mean: vec![0.0; COLUMNS],
-                spread: vec![1.0; COLUMNS],
-            },
+            scale: MusicScale { mean: vec![0.0; COLUMNS], spread: vec![1.0; COLUMNS] },
             starts: vec![[3, 5], [9, 1]],
             critic: None,
         };
@@ -475,10 +450,7 @@ mod tests {
         let (mut config, policy, songs) = toy(folder.path());
         config.actor_critic.critic_steps = 0;
         config.actor_critic.critic_warmup_steps = 2;
-        let limits = Limits {
-            steps: Some(5),
-            ..Limits::default()
-        };
+        let limits = Limits { steps: Some(5), ..Limits::default() };
         let store = learned(&config, policy, &songs, fourths(), limits);
         let path = folder.path().join("actor-critic/checkpoint.safetensors");
         let checkpoint = Checkpoint::read(&path).unwrap().unwrap();

@@ -19,12 +19,7 @@ pub(super) struct Adam<B: Backend> {
 impl<B: Kernels> Adam<B> {
     pub(super) fn new(tensors: &[Tensor<B, 1>], betas: [f64; 2]) -> Self {
         let zeros: Vec<_> = tensors.iter().map(Tensor::zeros_like).collect();
-        Self {
-            updates: vec![0; zeros.len()],
-            first: zeros.clone(),
-            second: zeros,
-            betas,
-        }
+        Self { updates: vec![0; zeros.len()], first: zeros.clone(), second: zeros, betas }
     }
 
     /// Takes one step at each tensor's rate. A tensor without a gradient stays as it is.
@@ -34,11 +29,7 @@ impl<B: Kernels> Adam<B> {
         gradients: Vec<Option<Tensor<B, 1>>>,
         rates: &[f64],
     ) {
-        let moments = self
-            .first
-            .iter_mut()
-            .zip(&mut self.second)
-            .zip(&mut self.updates);
+        let moments = self.first.iter_mut().zip(&mut self.second).zip(&mut self.updates);
         let tensors = tensors.iter_mut().zip(rates).zip(gradients);
         for (((tensor, &rate), gradient), ((first, second), updates)) in tensors.zip(moments) {
             let Some(gradient) = gradient else { continue };
@@ -68,18 +59,12 @@ pub(super) fn clip<B: Backend>(gradients: &mut [Option<Tensor<B, 1>>], longest: 
     if longest <= 0.0 {
         return;
     }
-    let squares = gradients
-        .iter()
-        .flatten()
-        .map(|gradient| gradient.clone().square().sum());
+    let squares = gradients.iter().flatten().map(|gradient| gradient.clone().square().sum());
     let Some(square) = squares.reduce(|sum, square| sum + square) else {
         return;
     };
     // Never read back: a read would make the host wait for the device at every step.
-    let factor = (square.sqrt().add_scalar(1e-12))
-        .recip()
-        .mul_scalar(longest)
-        .clamp_max(1.0);
+    let factor = (square.sqrt().add_scalar(1e-12)).recip().mul_scalar(longest).clamp_max(1.0);
     for gradient in gradients.iter_mut().flatten() {
         *gradient = gradient.clone() * factor.clone();
     }
@@ -110,17 +95,12 @@ mod tests {
             first = 0.9 * first + 0.1 * gradient;
             second = 0.99 * second + 0.01 * gradient * gradient;
             let count = step as i32 + 1;
-            let (m, v) = (
-                first / (1.0 - 0.9_f64.powi(count)),
-                second / (1.0 - 0.99_f64.powi(count)),
-            );
+            let (m, v) =
+                (first / (1.0 - 0.9_f64.powi(count)), second / (1.0 - 0.99_f64.powi(count)));
             weight -= 0.01 * m / (v.sqrt() + 1e-8);
         }
         let found = values(&tensors[0]);
-        assert!(
-            (f64::from(found[0]) - weight).abs() < 1e-6,
-            "{found:?} {weight}"
-        );
+        assert!((f64::from(found[0]) - weight).abs() < 1e-6, "{found:?} {weight}");
         assert_eq!(found[1], -2.0);
     }
 
@@ -134,10 +114,7 @@ mod tests {
         assert_eq!(adam.updates, [1, 2]);
         // Of constant gradients every step is one rate long, if it is corrected for its own count.
         let moved = tensors.map(|tensor| 1.0 - values(&tensor)[0]);
-        assert!(
-            (moved[0] - 0.01).abs() < 1e-6 && (moved[1] - 0.02).abs() < 1e-6,
-            "{moved:?}"
-        );
+        assert!((moved[0] - 0.01).abs() < 1e-6 && (moved[1] - 0.02).abs() < 1e-6, "{moved:?}");
     }
 
     #[test]

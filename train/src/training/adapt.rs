@@ -55,10 +55,7 @@ impl Adaptation {
     }
 
     fn run(&self, config: &Config) -> RunConfig {
-        RunConfig {
-            folder: self.folder.clone(),
-            ..config.run.clone()
-        }
+        RunConfig { folder: self.folder.clone(), ..config.run.clone() }
     }
 }
 
@@ -83,10 +80,7 @@ pub fn adapt(
         ..config.actor_critic.clone()
     };
     let base = Policy::latest_stage(config)?;
-    let own = Config {
-        actor_critic: stage.clone(),
-        ..config.clone()
-    };
+    let own = Config { actor_critic: stage.clone(), ..config.clone() };
     let identity = Identity::of_settings(&own, |name| concerns(Stage::ActorCritic, name))
         .on(base, fingerprint(config, base)?)
         .with("actor_critic.kept", config.actor_critic.kept);
@@ -114,12 +108,7 @@ pub fn export_adapted(
     folder: &Path,
     replace: bool,
 ) -> Result<Manifest, TrainError> {
-    let policy = Policy::of_folder(
-        config,
-        &adaptation.run(config),
-        STAGE,
-        &config.adapt.training,
-    )?;
+    let policy = Policy::of_folder(config, &adaptation.run(config), STAGE, &config.adapt.training)?;
     let facts = [("adapted_to", adaptation.name.clone().into())];
     export::write(config, folder, policy, replace, facts)
 }

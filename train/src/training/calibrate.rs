@@ -33,17 +33,13 @@ pub(super) fn input_ranges(config: &Config, policy: &Policy) -> InputRanges {
         temperature: f64::from(config.export.temperature),
     };
     let rows = policy.net.block() + 1;
-    let music: Vec<_> = (0..PIECES)
-        .map(|piece| noise(policy, rows, piece))
-        .collect();
+    let music: Vec<_> = (0..PIECES).map(|piece| noise(policy, rows, piece)).collect();
     let requests = music.iter().zip(PIECES..).map(|(music, number)| {
         SamplingRequest::new(music.view(), &policy.starts, generator(SEED, number))
     });
     sampler.generate(requests.collect());
     let ranges = parameters.input_ranges(&policy.store).into_iter();
-    ranges
-        .map(|(name, range)| (in_graph(&name), range))
-        .collect()
+    ranges.map(|(name, range)| (in_graph(&name), range)).collect()
 }
 
 /// Returns scaled music without a pattern, `[rows, columns]`; columns in use have unit variance.
@@ -71,22 +67,13 @@ mod tests {
     };
 
     fn policy(spread: f32) -> Policy {
-        let sizes = GptSizes {
-            channels: 8,
-            heads: 2,
-            layers: 2,
-            block: 6,
-            codes: [5, 5],
-            columns: 3,
-        };
+        let sizes =
+            GptSizes { channels: 8, heads: 2, layers: 2, block: 6, codes: [5, 5], columns: 3 };
         let mut store = Store::default();
         Policy {
             net: GptNet::new(&random_gpt(sizes, 7), &mut store),
             store,
-            scale: MusicScale {
-                mean: vec![0.0; 3],
-                spread: vec![spread; 3],
-            },
+            scale: MusicScale { mean: vec![0.0; 3], spread: vec![spread; 3] },
             starts: vec![[1, 4], [3, 0]],
             critic: None,
         }

@@ -74,10 +74,7 @@ fn draw_chart(chart: &Chart<'_>, area: &DrawingArea<SVGBackend<'_>, Shift>) -> R
         .draw()
         .map_err(text)?;
     for (line, ink) in chart.lines.iter().zip(INKS.iter().cycle()) {
-        let points = line
-            .points
-            .iter()
-            .map(|&(step, value)| (step as f64, value));
+        let points = line.points.iter().map(|&(step, value)| (step as f64, value));
         let stroke = ink.stroke_width(2);
         canvas
             .draw_series(LineSeries::new(points.clone(), stroke))
@@ -104,11 +101,7 @@ fn range(values: impl Iterator<Item = f64> + Clone) -> Range<f64> {
     let low = values.clone().fold(f64::INFINITY, f64::min);
     let high = values.fold(f64::NEG_INFINITY, f64::max);
     let span = high - low;
-    let margin = if span > 0.0 {
-        span * MARGIN
-    } else {
-        low.abs().max(1.0) * MARGIN
-    };
+    let margin = if span > 0.0 { span * MARGIN } else { low.abs().max(1.0) * MARGIN };
     low - margin..high + margin
 }
 
@@ -137,23 +130,14 @@ mod tests {
     fn every_line_is_drawn_and_named() {
         let (falling, few) = ([(0, 2.0), (50, 1.0), (100, 0.5)], [(100, 0.75)]);
         let line = |label, points| Line { label, points };
-        let chart = |title: &str, lines| Chart {
-            title: title.to_owned(),
-            lines,
-        };
-        let one = chart(
-            "gpt: loss",
-            vec![line("loss", &falling), line("test_loss", &few)],
-        );
+        let chart = |title: &str, lines| Chart { title: title.to_owned(), lines };
+        let one = chart("gpt: loss", vec![line("loss", &falling), line("test_loss", &few)]);
         let svg = draw(&[one]).unwrap();
         for wanted in ["gpt: loss", "\nloss\n", "\ntest_loss\n", "step"] {
             assert!(svg.contains(wanted), "{wanted}: {svg}");
         }
         assert_eq!(svg.matches("<circle").count(), 4);
-        let two = [
-            chart("a", vec![line("x", &falling)]),
-            chart("b", vec![line("y", &few)]),
-        ];
+        let two = [chart("a", vec![line("x", &falling)]), chart("b", vec![line("y", &few)])];
         assert!(draw(&two).unwrap().contains("height=\"760\""));
     }
 }

@@ -49,10 +49,7 @@ impl Checkpoint {
     /// Reads the checkpoint of a stage; `None` for other extensions, which official checkpoints
     /// have.
     pub(super) fn of_extension(path: &Path) -> Result<Option<Self>, TrainError> {
-        if path
-            .extension()
-            .is_none_or(|extension| extension != "safetensors")
-        {
+        if path.extension().is_none_or(|extension| extension != "safetensors") {
             return Ok(None);
         }
         let missing = || TrainError::file(path)(io::ErrorKind::NotFound.into());
@@ -152,9 +149,7 @@ impl Checkpoint {
             let found = self.tensor(&format!("{prefix}{name}"))?;
             if found.shape() != expected.shape() {
                 let (wanted, found) = (expected.shape(), found.shape());
-                return Err(format!(
-                    "tensor `{name}`: expected {wanted:?}, found {found:?}"
-                ));
+                return Err(format!("tensor `{name}`: expected {wanted:?}, found {found:?}"));
             }
             values.push(found.data().to_vec());
         }
@@ -168,8 +163,7 @@ fn read_header(path: &Path) -> io::Result<Vec<u8>> {
     let mut length = [0; LENGTH_BYTES];
     file.read_exact(&mut length)?;
     let mut header = Vec::new();
-    file.take(u64::from_le_bytes(length))
-        .read_to_end(&mut header)?;
+    file.take(u64::from_le_bytes(length)).read_to_end(&mut header)?;
     Ok(header)
 }
 
@@ -198,15 +192,9 @@ mod tests {
         let read = Checkpoint::read(&path).unwrap().unwrap();
         assert_eq!(read.tensors, checkpoint.tensors);
         assert_eq!(read.fact("step"), "4");
-        assert_eq!(
-            Checkpoint::read_facts(&path).unwrap().unwrap(),
-            checkpoint.facts
-        );
+        assert_eq!(Checkpoint::read_facts(&path).unwrap().unwrap(), checkpoint.facts);
         fs::write(&path, b"longer nonsense").unwrap();
-        assert!(matches!(
-            Checkpoint::read(&path),
-            Err(TrainError::State { .. })
-        ));
+        assert!(matches!(Checkpoint::read(&path), Err(TrainError::State { .. })));
         let facts = Checkpoint::read_facts(&path);
         assert!(matches!(facts, Err(TrainError::State { .. })));
     }

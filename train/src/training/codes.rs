@@ -55,12 +55,7 @@ impl Codes {
             let encoded = encoded.map(|piece| variants(frozen, piece, wanted, device));
             motions.par_extend(encoded);
             // Progress that cannot be shown is no reason to stop.
-            let _ = writeln!(
-                output,
-                "codes of {}/{} motions",
-                motions.len(),
-                pieces.len()
-            );
+            let _ = writeln!(output, "codes of {}/{} motions", motions.len(), pieces.len());
         }
         Self { motions }
     }
@@ -68,14 +63,8 @@ impl Codes {
     /// Takes the codes of one motion at its start phases.
     #[cfg(test)]
     pub(super) fn of_one(phases: Vec<Pair>) -> Self {
-        let dance = Variants {
-            phases: phases.len(),
-            codes: phases,
-            vectors: Vec::new(),
-        };
-        Self {
-            motions: vec![dance],
-        }
+        let dance = Variants { phases: phases.len(), codes: phases, vectors: Vec::new() };
+        Self { motions: vec![dance] }
     }
 
     /// Returns the codes that a window is cut from.
@@ -119,17 +108,9 @@ fn variants<B: Kernels>(
     device: &B::Device,
 ) -> Variants {
     let phases = wanted.phases.max(1);
-    let sides: &[bool] = if wanted.mirror {
-        &[false, true]
-    } else {
-        &[false]
-    };
+    let sides: &[bool] = if wanted.mirror { &[false, true] } else { &[false] };
     let all = sides.iter().flat_map(|&mirrored| {
-        (0..phases).map(move |phase| Draw {
-            phase,
-            mirrored,
-            ..Draw::default()
-        })
+        (0..phases).map(move |phase| Draw { phase, mirrored, ..Draw::default() })
     });
     let all: Vec<Draw> = all.collect();
     let length = |draw: &Draw| piece.frames().saturating_sub(draw.phase) / FRAMES_PER_CODE;
@@ -156,20 +137,12 @@ fn variants<B: Kernels>(
                 for (&place, nearest) in places.iter().zip(nearest.chunks(codes_each)) {
                     codes[place][half] = nearest.to_vec();
                 }
-                let found = if wanted.vectors {
-                    values(&found)
-                } else {
-                    Vec::new()
-                };
+                let found = if wanted.vectors { values(&found) } else { Vec::new() };
                 for (&place, found) in places.iter().zip(found.chunks(codes_each * channels)) {
                     vectors[place][half] = found.to_vec();
                 }
             }
         }
     }
-    Variants {
-        phases,
-        codes,
-        vectors,
-    }
+    Variants { phases, codes, vectors }
 }

@@ -23,16 +23,10 @@ pub(super) fn motion_windows(
     (frames, stride): (usize, usize),
     seed: u64,
 ) -> Result<Windows, TrainError> {
-    let crops = CropPlan {
-        frames,
-        stride,
-        mirror: config.data.mirror,
-    };
+    let crops = CropPlan { frames, stride, mirror: config.data.mirror };
     let choices = set.training.motion_choices(config.data.phases);
-    Windows::new(crops, choices, seed).ok_or(TrainError::TooShort {
-        length: frames,
-        unit: "frames",
-    })
+    Windows::new(crops, choices, seed)
+        .ok_or(TrainError::TooShort { length: frames, unit: "frames" })
 }
 
 /// Gathers some columns of crops, `[batch, frames, columns]`; `None` is zero.
@@ -47,9 +41,7 @@ pub(super) fn motion_columns<B: Backend>(
         let (piece, mirrored) = (&pieces[window.dance], window.mirrored);
         let frame = window.frames(frames).start + step;
         let value = move |&column: &usize| piece.value(frame, column, mirrored);
-        columns
-            .iter()
-            .map(move |column| column.as_ref().map_or(0.0, value))
+        columns.iter().map(move |column| column.as_ref().map_or(0.0, value))
     };
     gathered(windows, [frames, columns.len()], row, device)
 }

@@ -54,16 +54,14 @@ impl<B: Kernels> MotionDecoder<B> {
 
     /// Decodes a whole piece to world positions, 8 frames a code; `None` where a decoder gives NaN.
     pub(super) fn positions(&self, codes: &[Vec<i32>; 2]) -> Option<Positions> {
-        self.positions_of_equals(std::slice::from_ref(codes))
-            .pop()?
+        self.positions_of_equals(std::slice::from_ref(codes)).pop()?
     }
 
     /// Decodes many pieces, side by side where neighbours are of one length.
     pub(super) fn positions_of_many(&self, pieces: &[[Vec<i32>; 2]]) -> Vec<Option<Positions>> {
         let equals = pieces.chunk_by(|[one, _], [other, _]| one.len() == other.len());
         let some = equals.flat_map(|equals| equals.chunks(SIDE_BY_SIDE));
-        some.flat_map(|some| self.positions_of_equals(some))
-            .collect()
+        some.flat_map(|some| self.positions_of_equals(some)).collect()
     }
 
     fn positions_of_equals(&self, pieces: &[[Vec<i32>; 2]]) -> Vec<Option<Positions>> {
@@ -123,11 +121,7 @@ impl<B: Kernels> MotionDecoder<B> {
 
     /// Looks up the entries of one half, `[pieces, codes, channels]`; all pieces have one length.
     fn entries(&self, pieces: &[[Vec<i32>; 2]], half: usize) -> Tensor<B, 3> {
-        let codes: Vec<i32> = pieces
-            .iter()
-            .flat_map(|piece| &piece[half])
-            .copied()
-            .collect();
+        let codes: Vec<i32> = pieces.iter().flat_map(|piece| &piece[half]).copied().collect();
         let length = codes.len();
         let codes = nn::codes(codes, [length], &self.device);
         let entries = self.frozen.codebooks[half].lookup(codes);
@@ -138,9 +132,7 @@ impl<B: Kernels> MotionDecoder<B> {
 
 /// Copies decoded columns to their places, in pieces of `frames` rows.
 fn fill(columns: &mut Array2<f32>, frames: usize, decoded: &[f32], places: &[Option<usize>]) {
-    let pieces: Vec<_> = columns
-        .axis_chunks_iter_mut(Axis(0), frames.max(1))
-        .collect();
+    let pieces: Vec<_> = columns.axis_chunks_iter_mut(Axis(0), frames.max(1)).collect();
     let decoded = decoded.par_chunks((frames * places.len()).max(1));
     let filled = pieces.into_par_iter().zip(decoded);
     filled.for_each(|(mut piece, decoded)| {

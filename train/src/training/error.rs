@@ -37,21 +37,13 @@ pub enum TrainError {
     StageMissing { stage: &'static str, path: PathBuf },
     /// Something that a model with parts left out does not have.
     #[error("{what}: not with ablation.{flag} (generate its motion: `bailando-train generate`)")]
-    LeftOut {
-        what: &'static str,
-        flag: &'static str,
-    },
+    LeftOut { what: &'static str, flag: &'static str },
     /// A loss is no number.
     #[error(
         "the {column} of {stage} is {value} around step {step}: the run stops here, and the last \
          checkpoint is from before (lower the rate, or set clip)"
     )]
-    NotFinite {
-        stage: &'static str,
-        column: &'static str,
-        value: f32,
-        step: u64,
-    },
+    NotFinite { stage: &'static str, column: &'static str, value: f32, step: u64 },
     /// A device that is not there.
     #[error("device `{device}`: {message}")]
     Device { device: String, message: String },

@@ -25,13 +25,7 @@ const SETTINGS: &str = "settings";
 /// # Errors
 /// [`TrainError::StageMissing`] where a stage is not finished; what cannot be read or written.
 pub fn export(config: &Config, replace: bool) -> Result<Manifest, TrainError> {
-    write(
-        config,
-        &config.export.folder,
-        Policy::latest(config)?,
-        replace,
-        [],
-    )
+    write(config, &config.export.folder, Policy::latest(config)?, replace, [])
 }
 
 /// Writes a model directory with any policy; `facts` are added to the manifest's `training`.
@@ -66,9 +60,7 @@ pub(super) fn write<const N: usize>(
         motion_frame: config.data.frame,
         root_height: config.export.root_height,
         weights: config.export.weights,
-        training: training
-            .map(|(name, value)| (name.to_owned(), value))
-            .collect(),
+        training: training.map(|(name, value)| (name.to_owned(), value)).collect(),
     };
     Ok(write_model_directory(
         folder,

@@ -22,10 +22,7 @@ pub(super) fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
 pub(super) fn remove_partial(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
-        if path
-            .extension()
-            .is_some_and(|extension| extension == PARTIAL)
-        {
+        if path.extension().is_some_and(|extension| extension == PARTIAL) {
             fs::remove_file(path)?;
         }
     }

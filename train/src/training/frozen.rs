@@ -38,12 +38,7 @@ impl Halves {
             true => upper.clone(),
             false => HalfNet::new(lower, &weights.lower, &mut store),
         };
-        Self {
-            nets: [upper, lower],
-            store,
-            weights,
-            columns: config.pose_columns(),
-        }
+        Self { nets: [upper, lower], store, weights, columns: config.pose_columns() }
     }
 
     pub(super) fn random(config: &Config) -> Self {

@@ -70,14 +70,11 @@ pub fn generate_test_motions(
 
 fn test_pieces(config: &Config, output: &mut impl Write) -> Result<Vec<TestPiece>, TrainError> {
     let data = &config.data;
-    let options = OpenOptions {
-        audio: data.audio_folder().map(Into::into),
-    };
+    let options = OpenOptions { audio: data.audio_folder().map(Into::into) };
     let test: Portion<Evaluation> = Dataset::open(&data.folder, &options)?.evaluation()?;
     let songs = test.recordings().iter().flat_map(|dance| dance.songs());
-    let songs: Vec<(&String, &MusicSource)> = songs
-        .filter_map(|song| Some((&song.id, song.music.as_ref()?)))
-        .collect();
+    let songs: Vec<(&String, &MusicSource)> =
+        songs.filter_map(|song| Some((&song.id, song.music.as_ref()?))).collect();
     let wanted = songs.iter().map(|&(_, music)| (music.clone(), 1));
     let known = song_rows(data, wanted.collect(), output)?;
     let mut pieces = Vec::with_capacity(songs.len());
@@ -118,9 +115,7 @@ pub(super) fn motions<A: Trainable>(
     let starts = requests.iter().map(|request| decoder.pair(request.start));
     let sampler = sampler(config, policy, &parameters);
     let found = sampler.regress(&requests, starts.collect()).into_iter();
-    Ok(found
-        .map(|vectors| decoder.positions_of_vectors(vectors))
-        .collect())
+    Ok(found.map(|vectors| decoder.positions_of_vectors(vectors)).collect())
 }
 
 /// Generates the upper and lower codes of each piece.
@@ -142,11 +137,7 @@ fn sampler<'a, B: Kernels>(
     policy: &'a Policy,
     parameters: &'a Parameters<B>,
 ) -> Sampler<'a, B> {
-    Sampler {
-        net: &policy.net,
-        parameters,
-        temperature: f64::from(config.export.temperature),
-    }
+    Sampler { net: &policy.net, parameters, temperature: f64::from(config.export.temperature) }
 }
 
 fn scaled(policy: &Policy, pieces: &[TestPiece]) -> Vec<Array2<f32>> {

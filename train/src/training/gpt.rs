@@ -77,24 +77,20 @@ impl Start {
         init: Option<&Path>,
     ) -> Result<Self, TrainError> {
         let mut store = Store::default();
-        let net = config
-            .ablation
-            .network(&random(config, columns), &mut store);
+        let net = config.ablation.network(&random(config, columns), &mut store);
         let scale = MusicScale::measure(&set.training, columns, &config.gpt);
         let start = Self { net, store, scale };
         let Some(path) = init else {
             return Ok(start);
         };
         match Checkpoint::of_extension(path)? {
-            Some(checkpoint) => start
-                .with_checkpoint(config, &checkpoint)
-                .map_err(TrainError::state(path)),
+            Some(checkpoint) => {
+                start.with_checkpoint(config, &checkpoint).map_err(TrainError::state(path))
+            }
             None => {
                 let checkpoint = &mut TorchCheckpoint::open(path)?;
                 let weights = GptWeights::from_checkpoint(checkpoint, config.gpt.heads)?;
-                start
-                    .with_official(config, weights)
-                    .map_err(TrainError::state(path))
+                start.with_official(config, weights).map_err(TrainError::state(path))
             }
         }
     }
@@ -169,19 +165,12 @@ impl<'a, A: Trainable> GptStage<'a, A> {
         let mut songs = set.training.pieces().iter().flat_map(MotionPiece::songs);
         let columns = songs.next().map(|song| song.phase(0).ncols());
         let Some((columns, windows)) = columns.zip(windows(config, set)) else {
-            return Err(TrainError::TooShort {
-                length: config.gpt.block + 1,
-                unit: "codes",
-            });
+            return Err(TrainError::TooShort { length: config.gpt.block + 1, unit: "codes" });
         };
         let frozen = FrozenVqVae::<A::InnerBackend>::read(config, device)?;
         let start = Start::read(config, set, columns, init)?;
         let mut encode = |pieces: &[MotionPiece], mirror, phases: usize| {
-            let wanted = Augmentation {
-                mirror,
-                phases,
-                vectors: config.ablation.continuous,
-            };
+            let wanted = Augmentation { mirror, phases, vectors: config.ablation.continuous };
             Codes::encode(&frozen, pieces, wanted, device, output)
         };
         let phases = code_phases(config, set);
@@ -245,9 +234,7 @@ impl<'a, A: Trainable> GptStage<'a, A> {
         let row = |window: &Draw, step: usize| {
             let rows = pieces[window.dance].songs()[window.song].phase(window.phase);
             let beside = rows_beside(window.codes(block * FRAMES_PER_CODE));
-            self.scale
-                .scaled(rows.row(beside.start + step))
-                .collect::<Vec<_>>()
+            self.scale.scaled(rows.row(beside.start + step)).collect::<Vec<_>>()
         };
         gathered(windows, [block, columns], row, &self.device)
     }
@@ -325,10 +312,7 @@ impl<A: Trainable> TrainableStage<A> for GptStage<'_, A> {
         let corruption = Some(self.corruption(&windows, step));
         let losses = self.losses(parameters, examples, &windows, stage.dropout, corruption);
         let [loss, ..] = losses.clone();
-        Losses {
-            loss,
-            metrics: losses.map(Tensor::inner).into(),
-        }
+        Losses { loss, metrics: losses.map(Tensor::inner).into() }
     }
 
     const TEST_COLUMNS: &'static [&'static str] = &["test_loss", "test_upper", "test_lower"];

@@ -22,13 +22,7 @@ const SETTINGS: &str = "settings";
 const DATA: &str = "training data: ";
 
 /// Settings that every stage depends on.
-const SHARED: [&str; 5] = [
-    "run.seed",
-    "data.frame",
-    "data.mirror",
-    "data.phases",
-    "data.profile",
-];
+const SHARED: [&str; 5] = ["run.seed", "data.frame", "data.mirror", "data.phases", "data.profile"];
 
 /// Everything that the weights of a stage depend on: values by the name of the setting.
 ///
@@ -68,8 +62,7 @@ impl Identity {
 
     /// Adds the weights of a stage that this one builds on.
     pub(super) fn on(mut self, base: Stage, sha256: String) -> Self {
-        self.0
-            .insert(format!("{} weights", base.name()), sha256.into());
+        self.0.insert(format!("{} weights", base.name()), sha256.into());
         self
     }
 
@@ -177,9 +170,7 @@ pub(super) fn concerns(stage: Stage, name: &str) -> bool {
         Stage::Gpt => "gpt",
         Stage::ActorCritic => "actor_critic",
     };
-    let own = name
-        .strip_prefix(section)
-        .and_then(|rest| rest.strip_prefix('.'));
+    let own = name.strip_prefix(section).and_then(|rest| rest.strip_prefix('.'));
     let length_or_use = ["use", "training.steps", "training.epochs"];
     SHARED.contains(&name)
         || name.starts_with("ablation.")
@@ -187,10 +178,7 @@ pub(super) fn concerns(stage: Stage, name: &str) -> bool {
 }
 
 /// Returns all settings by their dotted names.
-#[expect(
-    clippy::expect_used,
-    reason = "settings are tables, strings, numbers and truth values"
-)]
+#[expect(clippy::expect_used, reason = "settings are tables, strings, numbers and truth values")]
 fn flattened(config: &Config) -> BTreeMap<String, Value> {
     fn collect(prefix: &str, value: Value, all: &mut BTreeMap<String, Value>) {
         match value {

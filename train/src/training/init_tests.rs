@@ -39,10 +39,7 @@ fn set(columns: usize) -> MotionSet {
     let value = |(row, column): (usize, usize)| (row as f32 + 0.3 * column as f32).sin() + 2.0;
     let rows = Arc::new(Array2::from_shape_fn((1 + FRAMES / 8, columns), value));
     let piece = MotionPiece::from_positions(positions, MotionFrame::World).unwrap();
-    MotionSet::new(
-        Motions::new(vec![piece.with_song(SongRows::new(vec![rows]).unwrap())]),
-        None,
-    )
+    MotionSet::new(Motions::new(vec![piece.with_song(SongRows::new(vec![rows]).unwrap())]), None)
 }
 
 #[test]
@@ -121,10 +118,7 @@ fn a_gpt_starts_from_another_run_with_the_same_columns() {
     let found = start(&config).unwrap();
     let expected = checkpoint.fill(WEIGHT, &found.store).unwrap();
     assert_eq!(found.store.entries(), expected.entries());
-    assert_eq!(
-        found.scale.mean,
-        checkpoint.tensor("music.mean").unwrap().data()
-    );
+    assert_eq!(found.scale.mean, checkpoint.tensor("music.mean").unwrap().data());
 
     let says = |config: &Config, setting: &str| {
         let refused = start(config).err().unwrap();

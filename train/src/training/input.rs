@@ -47,11 +47,7 @@ impl MotionPiece {
             MotionFrame::Dancer => to_dancer_frame(motion.positions())?,
             MotionFrame::World => decoded,
         };
-        Ok(Self {
-            motion: columns,
-            songs: Vec::new(),
-            dancing,
-        })
+        Ok(Self { motion: columns, songs: Vec::new(), dancing })
     }
 
     /// Adds a song.
@@ -105,15 +101,9 @@ impl MotionPiece {
 fn dancing(decoded: &Array2<f32>) -> Range<usize> {
     let speed = joint_speed(decoded.view());
     let slow = |&step: &f64| slow_share(&[step], FPS as f64) > 0.0;
-    let begins = speed
-        .iter()
-        .take(EDGE)
-        .rposition(slow)
-        .map_or(0, |last| last + 1);
+    let begins = speed.iter().take(EDGE).rposition(slow).map_or(0, |last| last + 1);
     let ends = speed.iter().rev().take(EDGE).rposition(slow);
-    let ends = ends.map_or(decoded.nrows(), |from_the_end| {
-        speed.len() - 1 - from_the_end
-    });
+    let ends = ends.map_or(decoded.nrows(), |from_the_end| speed.len() - 1 - from_the_end);
     begins..ends.max(begins)
 }
 
@@ -128,10 +118,7 @@ impl<S: SplitKind> Motions<S> {
     /// Takes motions of the split.
     #[must_use]
     pub fn new(pieces: Vec<MotionPiece>) -> Self {
-        Self {
-            pieces,
-            split: PhantomData,
-        }
+        Self { pieces, split: PhantomData }
     }
 
     /// Returns the motions; [`Draw::dance`] is a place in them.
@@ -158,10 +145,7 @@ impl<S: SplitKind> Motions<S> {
                 continue;
             }
             let path = dance.source().path();
-            let failed = |message: String| TrainError::Data {
-                path: path.to_owned(),
-                message,
-            };
+            let failed = |message: String| TrainError::Data { path: path.to_owned(), message };
             let motion = dance.motion(portion.skeleton())?;
             if motion.positions().iter().any(|value| !value.is_finite()) {
                 return Err(failed("holds values that are no numbers".into()));
@@ -188,12 +172,8 @@ impl Motions<Training> {
 
     /// Returns the choices of each motion where music does not matter.
     pub(super) fn motion_choices(&self, phases: usize) -> Vec<Choice> {
-        let choice = |piece: &MotionPiece| Choice {
-            frames: piece.frames(),
-            skipped: 0,
-            songs: 0,
-            phases,
-        };
+        let choice =
+            |piece: &MotionPiece| Choice { frames: piece.frames(), skipped: 0, songs: 0, phases };
         self.pieces.iter().map(choice).collect()
     }
 
@@ -234,12 +214,7 @@ impl Motions<Evaluation> {
 }
 
 fn fixed(dance: usize, song: usize, start: usize) -> Draw {
-    Draw {
-        dance,
-        song,
-        start,
-        ..Draw::default()
-    }
+    Draw { dance, song, start, ..Draw::default() }
 }
 
 /// The data of a run: for training and for test losses.
@@ -257,11 +232,7 @@ impl MotionSet {
     /// Takes motions of both splits; without songs for rewards.
     #[must_use]
     pub fn new(training: Motions<Training>, test: Option<Motions<Evaluation>>) -> Self {
-        Self {
-            training,
-            test,
-            songs: Vec::new(),
-        }
+        Self { training, test, songs: Vec::new() }
     }
 
     /// Reads a data folder of any layout.
@@ -270,9 +241,7 @@ impl MotionSet {
     /// [`TrainError`] names the first file that cannot be used.
     pub fn read(config: &Config, load: Load, output: &mut impl Write) -> Result<Self, TrainError> {
         let data = &config.data;
-        let options = OpenOptions {
-            audio: data.audio_folder().map(Into::into),
-        };
+        let options = OpenOptions { audio: data.audio_folder().map(Into::into) };
         let dataset = Dataset::open(&data.folder, &options)?;
         let training = dataset.training()?;
         let test = match dataset.evaluation() {
@@ -288,9 +257,7 @@ impl MotionSet {
                 let mut wanted = Vec::new();
                 for dance in training.recordings() {
                     wanted.extend(
-                        songs(dance.songs())
-                            .into_iter()
-                            .map(|song| (song, config.gpt_phases())),
+                        songs(dance.songs()).into_iter().map(|song| (song, config.gpt_phases())),
                     );
                 }
                 for dance in test.iter().flat_map(Portion::recordings) {

@@ -110,10 +110,7 @@ pub(super) fn read_kept(
     stage: Stage,
 ) -> Result<(PathBuf, Checkpoint), TrainError> {
     let path = kept_path(config, stage)?;
-    let missing = || TrainError::StageMissing {
-        stage: stage.name(),
-        path: path.clone(),
-    };
+    let missing = || TrainError::StageMissing { stage: stage.name(), path: path.clone() };
     let checkpoint = Checkpoint::read(&path)?.ok_or_else(missing)?;
     Ok((path, checkpoint))
 }

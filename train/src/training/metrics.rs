@@ -43,11 +43,7 @@ impl Metrics {
         }
         let file = fs::OpenOptions::new().append(true).open(&path);
         let file = file.map_err(TrainError::file(&path))?;
-        Ok(Self {
-            path,
-            file,
-            test_columns: test_columns.len(),
-        })
+        Ok(Self { path, file, test_columns: test_columns.len() })
     }
 
     /// Appends a line; columns of the test split stay empty where it was not measured.
@@ -67,9 +63,7 @@ impl Metrics {
             line.push_str(&value.map_or(",".to_owned(), |value| format!(",{value}")));
         }
         line.push('\n');
-        self.file
-            .write_all(line.as_bytes())
-            .map_err(TrainError::file(&self.path))
+        self.file.write_all(line.as_bytes()).map_err(TrainError::file(&self.path))
     }
 
     pub(super) fn sync(&mut self) -> Result<(), TrainError> {
@@ -91,10 +85,7 @@ pub(super) fn read_series(path: &Path) -> Result<BTreeMap<String, Vec<(u64, f64)
         let Some(step) = step_of(line) else { continue };
         for (name, value) in names.iter().zip(line.split(',')).skip(1) {
             if let Ok(value) = value.parse() {
-                series
-                    .entry((*name).to_owned())
-                    .or_default()
-                    .push((step, value));
+                series.entry((*name).to_owned()).or_default().push((step, value));
             }
         }
     }
@@ -111,9 +102,7 @@ mod tests {
         let path = folder.path().join("metrics.csv");
         let bytes = b"step,rate,loss\n10,5e-1,\xff\n";
         fs::write(&path, bytes).unwrap();
-        let refused = Metrics::open(path.clone(), &["loss"], &[], 20)
-            .err()
-            .unwrap();
+        let refused = Metrics::open(path.clone(), &["loss"], &[], 20).err().unwrap();
         assert!(matches!(refused, TrainError::File { .. }), "{refused}");
         assert_eq!(fs::read(&path).unwrap(), bytes);
     }
@@ -128,12 +117,7 @@ mod tests {
         metrics.append(20, 0.5, &[2.5], Some(&[4.25])).unwrap();
         metrics.append(30, 0.5, &[1.5], None).unwrap();
         // The beginning of step 100: its number alone looks like an early one.
-        fs::OpenOptions::new()
-            .append(true)
-            .open(&path)
-            .unwrap()
-            .write_all(b"10")
-            .unwrap();
+        fs::OpenOptions::new().append(true).open(&path).unwrap().write_all(b"10").unwrap();
         open(100);
         let text = fs::read_to_string(&path).unwrap();
         let wanted = "step,rate,loss,test_loss\n10,5e-1,3.5,\n20,5e-1,2.5,4.25\n30,5e-1,1.5,\n";

@@ -30,10 +30,7 @@ pub(super) struct MusicScale {
 impl MusicScale {
     /// Measures the first phase of all songs; a motion has one weight, however many songs it has.
     pub(super) fn measure(motions: &Motions<Training>, columns: usize, config: &GptConfig) -> Self {
-        let mut scale = Self {
-            mean: vec![0.0; columns],
-            spread: vec![1.0; columns],
-        };
+        let mut scale = Self { mean: vec![0.0; columns], spread: vec![1.0; columns] };
         if config.standardise_music {
             scale.standardise(motions);
         }
@@ -50,10 +47,7 @@ impl MusicScale {
     /// Reads the scale of a stage's checkpoint.
     pub(super) fn restore(checkpoint: &Checkpoint) -> Result<Self, String> {
         let column = |name| Ok::<_, String>(checkpoint.tensor(name)?.data().to_vec());
-        Ok(Self {
-            mean: column(MEAN)?,
-            spread: column(SPREAD)?,
-        })
+        Ok(Self { mean: column(MEAN)?, spread: column(SPREAD)? })
     }
 
     /// Reads the scale of another run's checkpoint, if that run had the same `hear` and
@@ -75,11 +69,7 @@ impl MusicScale {
     /// Whether columns are scaled by the training's mean and spread.
     pub(super) fn is_standardised(&self) -> bool {
         let moved = self.mean.iter().any(|&mean| mean != 0.0);
-        moved
-            || self
-                .spread
-                .iter()
-                .any(|&spread| ![1.0, MUTED].contains(&spread))
+        moved || self.spread.iter().any(|&spread| ![1.0, MUTED].contains(&spread))
     }
 
     /// Leaves columns out: they have no weight, here and when folded.
@@ -115,12 +105,10 @@ impl MusicScale {
     /// Scales a row as training sees it.
     pub(super) fn scaled<'a>(&'a self, row: ArrayView1<'a, f32>) -> impl Iterator<Item = f32> + 'a {
         let scale = self.mean.iter().zip(&self.spread);
-        row.into_iter()
-            .zip(scale)
-            .map(|(&value, (mean, &spread))| match spread {
-                MUTED => 0.0,
-                spread => (value - mean) / spread,
-            })
+        row.into_iter().zip(scale).map(|(&value, (mean, &spread))| match spread {
+            MUTED => 0.0,
+            spread => (value - mean) / spread,
+        })
     }
 
     /// Returns the same map for unscaled rows, for the export.
@@ -143,9 +131,7 @@ impl MusicScale {
     pub(super) fn unfold(&self, music: &Linear) -> Linear {
         let columns = self.mean.len();
         let bias = HostTensor::from_fn(music.bias.shape().to_vec(), |channel| {
-            let row = music.weight.data()[channel * columns..]
-                .iter()
-                .zip(&self.mean);
+            let row = music.weight.data()[channel * columns..].iter().zip(&self.mean);
             music.bias.data()[channel] + row.map(|(weight, mean)| weight * mean).sum::<f32>()
         });
         let weight = HostTensor::from_fn(music.weight.shape().to_vec(), |flat| {
@@ -177,10 +163,7 @@ mod tests {
 
     #[test]
     fn a_folded_scale_gives_plain_rows_what_training_saw_and_muted_columns_nothing() {
-        let mut scale = MusicScale {
-            mean: vec![1.0, -2.0, 30.0],
-            spread: vec![0.5, 4.0, 10.0],
-        };
+        let mut scale = MusicScale { mean: vec![1.0, -2.0, 30.0], spread: vec![0.5, 4.0, 10.0] };
         scale.mute(|column| column == 2);
         let trained = Linear {
             weight: HostTensor::from_fn(vec![2, 3], |flat| flat as f32 - 2.0),
@@ -204,11 +187,7 @@ mod tests {
         }
         let back = scale.unfold(&folded);
         let kept = [0, 1, 3, 4].map(|flat| (back.weight.data()[flat], trained.weight.data()[flat]));
-        assert!(
-            kept.iter()
-                .all(|(back, weight)| (back - weight).abs() < 1e-5),
-            "{kept:?}"
-        );
+        assert!(kept.iter().all(|(back, weight)| (back - weight).abs() < 1e-5), "{kept:?}");
         assert_eq!(back.bias.data(), trained.bias.data());
         assert!([2, 5].iter().all(|&flat| folded.weight.data()[flat] == 0.0));
     }
@@ -226,10 +205,7 @@ mod tests {
         let restored = |config: &GptConfig, checkpoint: &Checkpoint| {
             MusicScale::restore_for(config, checkpoint)
         };
-        let (plain, muted) = (
-            checkpoint([1.0; 2], [0.0; 2]),
-            checkpoint([MUTED; 2], [0.0; 2]),
-        );
+        let (plain, muted) = (checkpoint([1.0; 2], [0.0; 2]), checkpoint([MUTED; 2], [0.0; 2]));
         let scaled = checkpoint([0.5, 2.0], [3.0, 0.0]);
         assert!(restored(&config, &plain).is_ok());
         assert!(restored(&config, &muted).unwrap_err().contains("gpt.hear"));

@@ -31,13 +31,7 @@ struct Panel {
 
 /// A stage gets the plots for which it has a column.
 const PLOTS: [Plot; 3] = [
-    Plot {
-        file: "loss.svg",
-        panels: &[Panel {
-            title: "loss",
-            columns: &["loss", "test_loss"],
-        }],
-    },
+    Plot { file: "loss.svg", panels: &[Panel { title: "loss", columns: &["loss", "test_loss"] }] },
     Plot {
         file: "codebook.svg",
         panels: &[
@@ -58,10 +52,7 @@ const PLOTS: [Plot; 3] = [
                 title: "mean reward of a code",
                 columns: &["reward", "beat_reward", "consistency"],
             },
-            Panel {
-                title: "entropy of the policy",
-                columns: &["entropy"],
-            },
+            Panel { title: "entropy of the policy", columns: &["entropy"] },
         ],
     },
 ];
@@ -75,11 +66,7 @@ pub(super) struct Plots {
 
 impl Plots {
     pub(super) fn new(folder: PathBuf, stage: &'static str) -> Self {
-        Self {
-            folder,
-            stage,
-            drawn: Instant::now(),
-        }
+        Self { folder, stage, drawn: Instant::now() }
     }
 
     /// Draws what `metrics.csv` holds, if it is time or `now`. A plot that fails is no reason to
@@ -122,15 +109,9 @@ fn chart<'a>(
 ) -> Chart<'a> {
     let lines = panel.columns.iter().filter_map(|&column| {
         let points = series.get(column)?;
-        Some(Line {
-            label: column,
-            points,
-        })
+        Some(Line { label: column, points })
     });
-    Chart {
-        title: format!("{stage}: {}", panel.title),
-        lines: lines.collect(),
-    }
+    Chart { title: format!("{stage}: {}", panel.title), lines: lines.collect() }
 }
 
 #[cfg(test)]
@@ -146,9 +127,8 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         plots.draw(true, &mut output);
         let entries = std::fs::read_dir(folder.path()).unwrap();
-        let mut names: Vec<String> = entries
-            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-            .collect();
+        let mut names: Vec<String> =
+            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
         (names, String::from_utf8(output).unwrap())
     }

@@ -56,10 +56,7 @@ impl Policy {
             return Ok(latest);
         }
         let before = Self::of_stage(config, Stage::Gpt)?;
-        Ok(Self {
-            store: before.store.towards(&latest.store, kept),
-            ..latest
-        })
+        Ok(Self { store: before.store.towards(&latest.store, kept), ..latest })
     }
 
     /// Reads that of a finished stage in a folder beside the run.

@@ -12,12 +12,7 @@ pub(super) struct Progress {
 
 impl Progress {
     pub(super) fn start(stage: &'static str, first_step: u64, total: u64) -> Self {
-        Self {
-            stage,
-            start: Instant::now(),
-            first_step,
-            total,
-        }
+        Self { stage, start: Instant::now(), first_step, total }
     }
 
     pub(super) fn seconds(&self) -> f64 {
@@ -49,9 +44,7 @@ fn memory() -> String {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     let kilobytes = line.and_then(|line| line.split_whitespace().next()?.parse::<f64>().ok());
-    kilobytes.map_or_else(String::new, |kilobytes| {
-        format!("  {:.2} GB at most", kilobytes / 1e6)
-    })
+    kilobytes.map_or_else(String::new, |kilobytes| format!("  {:.2} GB at most", kilobytes / 1e6))
 }
 
 #[cfg(test)]
@@ -61,10 +54,7 @@ mod tests {
     #[test]
     fn time_is_told_in_hours_minutes_and_seconds() {
         let told = [0.0, 59.2, 60.0, 25_384.0, 360_000.0].map(clock);
-        assert_eq!(
-            told,
-            ["0:00:00", "0:01:00", "0:01:00", "7:03:04", "100:00:00"]
-        );
+        assert_eq!(told, ["0:00:00", "0:01:00", "0:01:00", "7:03:04", "100:00:00"]);
     }
 
     #[test]

@@ -88,9 +88,7 @@ impl RewardRule {
         let dance = dance_beats(&speed);
         let pulse = pulse(music_beats, &speed);
         let music = music_beats.iter().enumerate();
-        let music: Vec<usize> = music
-            .filter_map(|(frame, &beat)| beat.then_some(frame))
-            .collect();
+        let music: Vec<usize> = music.filter_map(|(frame, &beat)| beat.then_some(frame)).collect();
         let codes = poses.chunks(FRAMES_PER_CODE).enumerate();
         let rewards = codes.map(|(code, poses)| {
             let first = code * FRAMES_PER_CODE;
@@ -167,9 +165,7 @@ fn pulse(music_beats: &[bool], speed: &[f64]) -> Vec<f64> {
         return pulse;
     }
     let beats = music_beats.iter().take(speed.len()).enumerate();
-    let beats: Vec<usize> = beats
-        .filter_map(|(frame, &beat)| beat.then_some(frame))
-        .collect();
+    let beats: Vec<usize> = beats.filter_map(|(frame, &beat)| beat.then_some(frame)).collect();
     for pair in beats.windows(2) {
         let &[from, to] = pair else { continue };
         for frame in from..to {
@@ -210,12 +206,7 @@ fn poses(positions: &Positions) -> Vec<Pose> {
     let frames = positions.outer_iter();
     let pose = |frame: ndarray::ArrayView2<'_, f32>| -> Pose {
         std::array::from_fn(|joint| {
-            let axis = |axis| {
-                frame
-                    .get((joint, axis))
-                    .copied()
-                    .map_or(f64::NAN, f64::from)
-            };
+            let axis = |axis| frame.get((joint, axis)).copied().map_or(f64::NAN, f64::from);
             DVec3::new(axis(0), axis(1), axis(2))
         })
     };
@@ -227,13 +218,7 @@ mod tests {
     use super::*;
 
     fn rule(beat: BeatReward, beat_weight: f64, consistency_weight: f64) -> RewardRule {
-        RewardRule {
-            beat,
-            beat_weight,
-            consistency_weight,
-            slow_weight: 0.0,
-            speed_weight: 0.0,
-        }
+        RewardRule { beat, beat_weight, consistency_weight, slow_weight: 0.0, speed_weight: 0.0 }
     }
 
     /// An upright body, turned about y; the lower half turned further.
@@ -321,10 +306,7 @@ mod tests {
         let near = |d: f64| (-d * d / 18.0).exp();
         let margin = |dance: &[usize]| BeatReward::Margin.of(&[10, 30, 50], dance, 24..32);
         // Frames 20 to 39 are nearest to the music beat at 30.
-        let chance = (20..40)
-            .map(|frame| near(f64::from(frame) - 30.0))
-            .sum::<f64>()
-            / 20.0;
+        let chance = (20..40).map(|frame| near(f64::from(frame) - 30.0)).sum::<f64>() / 20.0;
         assert!((margin(&[30]) - (1.0 - chance)).abs() < 1e-12);
         assert!((margin(&[10, 30, 50]) - (1.0 - chance)).abs() < 1e-2);
         assert!(margin(&[40]) < -0.15, "{}", margin(&[40]));
@@ -378,10 +360,7 @@ mod tests {
         let good = rewards.iter().enumerate().filter(|(_, r)| r.total == 5.0);
         assert_eq!(good.map(|(code, _)| code).collect::<Vec<_>>(), [2, 7]);
         assert!(rewards.iter().all(|reward| reward.total.abs() == 5.0));
-        let quick = RewardRule {
-            speed_weight: 0.5,
-            ..rule
-        };
+        let quick = RewardRule { speed_weight: 0.5, ..rule };
         // Half of the metres that a second's frames move, beside the same beats.
         let quick = quick.rewards(&positions, &beats(&[16, 23, 40, 56, 104]));
         let speed = speed(&poses(&positions));
@@ -400,35 +379,23 @@ mod tests {
         // The speed is slowest at frames 20, 60, 100, ..; its smoothing mirrors the ends.
         let mean_reward = |first: usize| {
             let mut beats = vec![false; 200];
-            (first..200)
-                .step_by(40)
-                .for_each(|frame| beats[frame] = true);
+            (first..200).step_by(40).for_each(|frame| beats[frame] = true);
             let rewards = rule.rewards(&positions, &beats);
             // Codes that lie between the first and the last beat.
             let inner = &rewards[first.div_ceil(8)..(first + 120) / 8];
             inner.iter().map(|reward| reward.beat).sum::<f64>() / inner.len() as f64
         };
         let (on, off, between) = (mean_reward(20), mean_reward(40), mean_reward(30));
-        assert!(
-            on > 0.9 && off < -0.9 && between.abs() < 0.2,
-            "{on} {off} {between}"
-        );
+        assert!(on > 0.9 && off < -0.9 && between.abs() < 0.2, "{on} {off} {between}");
         // Twice as fast goes with it as well as before.
         let twice = positions.mapv(|metres| 2.0 * metres);
         let mut beats = vec![false; 200];
         (20..200).step_by(40).for_each(|frame| beats[frame] = true);
-        let (own, faster) = (
-            rule.rewards(&positions, &beats),
-            rule.rewards(&twice, &beats),
-        );
+        let (own, faster) = (rule.rewards(&positions, &beats), rule.rewards(&twice, &beats));
         for (own, faster) in own.iter().zip(&faster) {
             assert!((own.beat - faster.beat).abs() < 1e-3);
         }
         // Nothing to go with.
-        assert!(
-            rule.rewards(&positions, &[])
-                .iter()
-                .all(|reward| reward.beat == 0.0)
-        );
+        assert!(rule.rewards(&positions, &[]).iter().all(|reward| reward.beat == 0.0));
     }
 }

@@ -110,9 +110,7 @@ impl RolloutPlan {
     /// Returns the scaled music of an excerpt: row `k + 1` is beside code `k`.
     pub(super) fn music(&self, excerpt: Excerpt) -> ArrayView2<'_, f32> {
         let rows = excerpt.first..excerpt.first + excerpt.codes + 1;
-        self.songs[excerpt.song]
-            .rows
-            .slice_axis(Axis(0), Slice::from(rows))
+        self.songs[excerpt.song].rows.slice_axis(Axis(0), Slice::from(rows))
     }
 
     fn beats(&self, excerpt: Excerpt) -> &[bool] {
@@ -159,18 +157,11 @@ impl RolloutPlan {
         while requests.peek().is_some() {
             codes.extend(sampler.generate(requests.by_ref().take(batch).collect()));
         }
-        let beats: Vec<&[bool]> = excerpts
-            .iter()
-            .map(|&excerpt| self.beats(excerpt))
-            .collect();
+        let beats: Vec<&[bool]> = excerpts.iter().map(|&excerpt| self.beats(excerpt)).collect();
         let rewards = rewards(&codes, &beats);
         let rewarded = excerpts.into_iter().zip(codes).zip(rewards);
         let mut episodes: Vec<Episode> = rewarded
-            .map(|((excerpt, codes), rewards)| Episode {
-                excerpt,
-                codes,
-                rewards,
-            })
+            .map(|((excerpt, codes), rewards)| Episode { excerpt, codes, rewards })
             .collect();
         let mean_rewards = mean_rewards(&episodes);
         if takes > 1 {
@@ -191,12 +182,7 @@ impl RolloutPlan {
             starts.map(move |start| (piece, start))
         });
         let mut random = generator(self.seed ^ ORDER, epoch);
-        Rollout {
-            epoch,
-            mean_rewards,
-            windows: shuffled(windows.collect(), &mut random),
-            episodes,
-        }
+        Rollout { epoch, mean_rewards, windows: shuffled(windows.collect(), &mut random), episodes }
     }
 
     /// Restores what [`Rollout::save`] wrote.
@@ -220,9 +206,7 @@ impl RolloutPlan {
             })
         });
         let means = checkpoint.tensor(MEANS)?.data();
-        let means = means
-            .try_into()
-            .map_err(|_| "holds other means than three".to_owned())?;
+        let means = means.try_into().map_err(|_| "holds other means than three".to_owned())?;
         let episodes = episodes.collect::<Result<_, _>>()?;
         Ok(Some(self.arranged(epoch, means, episodes)))
     }
@@ -252,10 +236,7 @@ impl Rollout {
         let episodes = &self.episodes;
         let codes = episodes.iter().flat_map(|episode| {
             let [upper, lower] = &episode.codes;
-            upper
-                .iter()
-                .zip(lower)
-                .flat_map(|(&upper, &lower)| [upper as f32, lower as f32])
+            upper.iter().zip(lower).flat_map(|(&upper, &lower)| [upper as f32, lower as f32])
         });
         let rewards = episodes.iter().flat_map(|episode| episode.rewards.concat());
         checkpoint.put_rows(MEANS, 1, &self.mean_rewards);
@@ -286,11 +267,7 @@ fn compare(takes: &mut [Episode]) {
     let codes = takes.iter().map(|take| take.rewards.len()).min();
     for code in 0..codes.unwrap_or(0) {
         for part in 0..3 {
-            let mean = takes
-                .iter()
-                .map(|take| take.rewards[code][part])
-                .sum::<f32>()
-                / count;
+            let mean = takes.iter().map(|take| take.rewards[code][part]).sum::<f32>() / count;
             for take in takes.iter_mut() {
                 take.rewards[code][part] -= mean;
             }
@@ -315,9 +292,7 @@ pub(super) fn reward_fn<B: Kernels>(decoder: MotionDecoder<B>, rule: RewardRule)
             };
             let rewards = rule.rewards(positions, music_beats).into_iter();
             let rewards = rewards.map(|reward| [reward.total, reward.beat, reward.consistency]);
-            rewards
-                .map(|reward| reward.map(|part| part as f32))
-                .collect()
+            rewards.map(|reward| reward.map(|part| part as f32)).collect()
         });
         rewards.collect()
     })
@@ -376,10 +351,7 @@ mod tests {
     #[test]
     fn pieces_go_on_from_earlier_ends_as_often_as_asked() {
         let share = |continued: f64, ends: &[[i32; 2]]| {
-            let plan = RolloutPlan {
-                continued,
-                ..plan()
-            };
+            let plan = RolloutPlan { continued, ..plan() };
             let found = (0..1000).filter_map(|piece| plan.continued_from(2, piece, ends));
             let found: Vec<_> = found.collect();
             assert!(found.iter().all(|end| ends.contains(end)));
@@ -437,10 +409,7 @@ mod tests {
         drawn.truncate(windows.div_ceil(7));
         let mut drawn = drawn.concat();
         // The last batch starts over.
-        assert_eq!(
-            drawn.split_off(windows),
-            drawn[..drawn.len().div_ceil(7) * 7 - windows]
-        );
+        assert_eq!(drawn.split_off(windows), drawn[..drawn.len().div_ceil(7) * 7 - windows]);
         drawn.sort_unstable();
         let all = rollout.episodes.iter().enumerate();
         let all = all.flat_map(|(piece, e)| (0..=e.codes[0].len() - 6).map(move |at| (piece, at)));

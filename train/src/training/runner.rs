@@ -77,10 +77,7 @@ pub(super) fn run<A: Trainable, S: TrainableStage<A>>(
     let _heeded = limits.stop.map(StopFlag::heeded);
     while state.step < total {
         let step = state.step;
-        A::seed(
-            device,
-            spec.run.seed ^ step.wrapping_mul(0x9E37_79B9_7F4A_7C15),
-        );
+        A::seed(device, spec.run.seed ^ step.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let rate = spec.training.rate_at(step, total);
         state.advance(spec.training, stage, rate);
         logger.report(spec, stage, &mut state)?;
@@ -107,9 +104,7 @@ fn lock(folder: &Path) -> Result<File, TrainError> {
     let file = File::create(&path).map_err(TrainError::file(&path))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(TrainError::Busy {
-            folder: folder.to_owned(),
-        }),
+        Err(TryLockError::WouldBlock) => Err(TrainError::Busy { folder: folder.to_owned() }),
         Err(TryLockError::Error(source)) => Err(TrainError::File { path, source }),
     }
 }

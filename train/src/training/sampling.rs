@@ -27,11 +27,7 @@ impl<'a> SamplingRequest<'a> {
         let start = (unit(&mut random) * starts.len() as f64) as usize;
         // Without starts every code is as good as the first.
         let start = starts.get(start).copied().unwrap_or([0; 2]);
-        Self {
-            music,
-            start: start.map(|code| code as i32),
-            random,
-        }
+        Self { music, start: start.map(|code| code as i32), random }
     }
 }
 
@@ -49,15 +45,9 @@ impl<B: Kernels> Sampler<'_, B> {
     /// cached until the histories slide; from then on every step computes its whole window, and
     /// pieces side by side keep the device busy.
     pub(super) fn generate(&self, mut requests: Vec<SamplingRequest<'_>>) -> Vec<[Vec<i32>; 2]> {
-        let mut pieces: Vec<[Vec<i32>; 2]> = requests
-            .iter()
-            .map(|request| request.start.map(|code| vec![code]))
-            .collect();
-        let longest = requests
-            .iter()
-            .map(|request| request.music.nrows())
-            .max()
-            .unwrap_or(0);
+        let mut pieces: Vec<[Vec<i32>; 2]> =
+            requests.iter().map(|request| request.start.map(|code| vec![code])).collect();
+        let longest = requests.iter().map(|request| request.music.nrows()).max().unwrap_or(0);
         let cache = self.net.empty_cache();
         let mut cache = cache.map(|cache| (cache, (0..requests.len()).collect()));
         for known in 1..longest.saturating_sub(1) {
@@ -97,11 +87,7 @@ impl<B: Kernels> Sampler<'_, B> {
         let drawn = pieces.par_iter_mut().enumerate().map(|(place, random)| {
             let mut next = |logits: &[f32]| {
                 let vocabulary = logits.len() / count;
-                draw(
-                    &logits[place * vocabulary..][..vocabulary],
-                    temperature,
-                    random,
-                ) as i32
+                draw(&logits[place * vocabulary..][..vocabulary], temperature, random) as i32
             };
             let upper = next(&logits[0]);
             [upper, if one_code { upper } else { next(&logits[1]) }]
@@ -122,12 +108,7 @@ impl<B: Kernels> Sampler<'_, B> {
                 let window = known.min(self.net.block() - 1);
                 let first = known - window;
                 let device = self.parameters.device();
-                let rows = request
-                    .music
-                    .rows()
-                    .into_iter()
-                    .skip(first + 1)
-                    .take(window);
+                let rows = request.music.rows().into_iter().skip(first + 1).take(window);
                 let rows: Vec<f32> = rows.flatten().copied().collect();
                 let tensor = |values: Vec<f32>| {
                     let shape = [1, window, values.len() / window];
@@ -135,9 +116,7 @@ impl<B: Kernels> Sampler<'_, B> {
                 };
                 let history =
                     [0, 1].map(|half: usize| tensor(piece[half][first * channels..].to_vec()));
-                let found = self
-                    .net
-                    .regress(self.parameters, tensor(rows), history, 0.0);
+                let found = self.net.regress(self.parameters, tensor(rows), history, 0.0);
                 for (half, found) in piece.iter_mut().zip([found.upper, found.lower]) {
                     half.extend(values(&found.narrow(1, window - 1, 1)));
                 }
@@ -190,11 +169,7 @@ impl<B: Kernels> Sampler<'_, B> {
         let first = known - window;
         let excerpts: Vec<_> = unfinished
             .iter()
-            .map(|&piece| Window {
-                music: requests[piece].music,
-                codes: &pieces[piece],
-                first,
-            })
+            .map(|&piece| Window { music: requests[piece].music, codes: &pieces[piece], first })
             .collect();
         let device = self.parameters.device();
         let (music, codes) = inputs(&excerpts, window, device);
@@ -231,11 +206,7 @@ pub(super) fn inputs<B: Kernels>(
 /// Draws a code by its score; the first of the highest at temperature 0.
 fn draw(logits: &[f32], temperature: f64, random: &mut ChaCha8Rng) -> usize {
     let better = |best: usize, code: usize| {
-        if logits[code] > logits[best] {
-            code
-        } else {
-            best
-        }
+        if logits[code] > logits[best] { code } else { best }
     };
     let best = (0..logits.len()).reduce(better).unwrap_or(0);
     if temperature == 0.0 {
@@ -308,10 +279,7 @@ mod tests {
             random: generator(1, 2),
         };
         let pieces = sampler.generate(vec![request(20), request(60), request(35)]);
-        for (half, name) in ["codes_slide_up.npy", "codes_slide_down.npy"]
-            .into_iter()
-            .enumerate()
-        {
+        for (half, name) in ["codes_slide_up.npy", "codes_slide_down.npy"].into_iter().enumerate() {
             let golden = golden_codes(name);
             for (piece, codes) in pieces.iter().zip([19, 59, 34]) {
                 assert_eq!(piece[half], golden[..codes]);
@@ -337,16 +305,9 @@ mod tests {
         let parameters = &Parameters::<Flex>::from_store(&store, &FlexDevice);
         let music =
             Array2::from_shape_fn((STEPS + 2, 2), |(row, column)| (row * 2 + column) as f32);
-        let sampler = Sampler {
-            net: &net,
-            parameters,
-            temperature: 1.0,
-        };
-        let request = SamplingRequest {
-            music: music.view(),
-            start: [0, 0],
-            random: generator(1, 2),
-        };
+        let sampler = Sampler { net: &net, parameters, temperature: 1.0 };
+        let request =
+            SamplingRequest { music: music.view(), start: [0, 0], random: generator(1, 2) };
         let start = [vec![1.0, -2.0, 0.5], vec![0.3, 0.0, 4.0]];
         let piece = &sampler.regress(&[request], vec![start.clone()])[0];
         let tensor = |values: &[f32], columns| {

@@ -62,11 +62,7 @@ fn beats_by_frame(beats_s: &[f64], frames: usize) -> Vec<bool> {
 /// [`TrainError`] names what is wrong with it.
 pub fn target_song(data: &DataConfig, path: &Path) -> Result<Song, TrainError> {
     let mut library = music_library(data, feature_cache(data)?);
-    Ok(Song::read(
-        &MusicSource::Audio(path.to_owned()),
-        &[],
-        &mut library,
-    )?)
+    Ok(Song::read(&MusicSource::Audio(path.to_owned()), &[], &mut library)?)
 }
 
 /// Reads every song of the training split, once.
@@ -82,9 +78,7 @@ pub(super) fn training_songs(
         .collect();
     let songs = music
         .into_par_iter()
-        .map_init(library, |library, (music, told)| {
-            Song::read(music, told, library)
-        });
+        .map_init(library, |library, (music, told)| Song::read(music, told, library));
     // The first in order that fails is reported, whichever was read first.
     let songs: Vec<Result<_, DataError>> = songs.collect();
     Ok(songs.into_iter().collect::<Result<_, _>>()?)

@@ -69,13 +69,11 @@ pub(super) fn song_rows(
     let mut computed = 0;
     for some in songs.chunks(SONGS_A_LINE) {
         let library = || music_library(data, cache.clone());
-        let found = some
-            .par_iter()
-            .map_init(library, |library, (song, phases)| {
-                let before = library.computed();
-                let rows = library.phases(song, *phases)?;
-                Ok((rows, library.computed() - before))
-            });
+        let found = some.par_iter().map_init(library, |library, (song, phases)| {
+            let before = library.computed();
+            let rows = library.phases(song, *phases)?;
+            Ok((rows, library.computed() - before))
+        });
         let found: Vec<Result<_, DataError>> = found.collect();
         for ((song, _), found) in some.iter().zip(found) {
             let (phases, new) = found?;

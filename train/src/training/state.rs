@@ -64,10 +64,7 @@ impl<A: Trainable> State<A> {
             rate_factors: names.map(|name| stage.rate_factor(name)).collect(),
             step: 0,
             best: None,
-            sums: S::COLUMNS
-                .iter()
-                .map(|_| Tensor::zeros([1], device))
-                .collect(),
+            sums: S::COLUMNS.iter().map(|_| Tensor::zeros([1], device)).collect(),
             summed: 0.0,
             folder: folder.to_owned(),
         };
@@ -91,10 +88,8 @@ impl<A: Trainable> State<A> {
         has_all_steps(facts, spec.training)?;
         self.step = parsed(facts, STEP)?;
         if facts.contains_key(BEST_STEP) {
-            self.best = Some(Best {
-                value: parsed(facts, BEST_VALUE)?,
-                step: parsed(facts, BEST_STEP)?,
-            });
+            self.best =
+                Some(Best { value: parsed(facts, BEST_VALUE)?, step: parsed(facts, BEST_STEP)? });
         }
         let load = |prefix: &str| -> Result<Parameters<A::InnerBackend>, String> {
             let store = checkpoint.fill(prefix, &spec.store)?;
@@ -135,8 +130,7 @@ impl<A: Trainable> State<A> {
         clip(&mut gradients, training.clip);
         let factors = self.rate_factors.iter();
         let rates: Vec<f64> = factors.map(|factor| rate * factor).collect();
-        self.adam
-            .step(self.parameters.tensors_mut(), gradients, &rates);
+        self.adam.step(self.parameters.tensors_mut(), gradients, &rates);
         for (sum, value) in self.sums.iter_mut().zip(metrics) {
             *sum = sum.clone() + value;
         }
@@ -193,12 +187,7 @@ impl<A: Trainable> State<A> {
         let mut values = columns.iter().zip(values);
         let wrong = values.find(|(_, value)| !value.is_finite());
         wrong.map_or(Ok(()), |(column, &value)| {
-            Err(TrainError::NotFinite {
-                stage,
-                column,
-                value,
-                step: self.step,
-            })
+            Err(TrainError::NotFinite { stage, column, value, step: self.step })
         })
     }
 
@@ -234,21 +223,13 @@ impl<A: Trainable> State<A> {
         meters.extend(self.read_sums());
         self.check(S::COLUMNS, &meters[1..], spec.name)?;
         let mut checkpoint = self.weights(spec, stage)?;
-        let moments = [
-            (FIRST_MOMENT, &self.adam.first),
-            (SECOND_MOMENT, &self.adam.second),
-        ];
+        let moments = [(FIRST_MOMENT, &self.adam.first), (SECOND_MOMENT, &self.adam.second)];
         for (prefix, tensors) in moments {
             let values = tensors.iter().map(values).collect();
             checkpoint.put_store(prefix, &spec.store.with_values(values));
         }
         // Exact up to 2^24, where no correction is left.
-        let updates: Vec<f32> = self
-            .adam
-            .updates
-            .iter()
-            .map(|&count| count as f32)
-            .collect();
+        let updates: Vec<f32> = self.adam.updates.iter().map(|&count| count as f32).collect();
         checkpoint.put_vector(UPDATES, &updates);
         checkpoint.put_vector(METERS, &meters);
         self.check_tensors(&checkpoint, spec.name)?;

@@ -13,10 +13,7 @@ impl StopFlag {
     /// Returns a flag that nobody has raised.
     #[must_use]
     pub const fn new() -> Self {
-        Self {
-            requested: AtomicBool::new(false),
-            stepping: AtomicBool::new(false),
-        }
+        Self { requested: AtomicBool::new(false), stepping: AtomicBool::new(false) }
     }
 
     /// Asks to stop. Returns whether a stage will: if not, or if it was asked before, the process

@@ -20,18 +20,13 @@ pub(super) fn suppressed_codes(config: &Config) -> Result<SuppressedCodes, Train
     let decoder = MotionDecoder::<Flex>::read(config, &FlexDevice)?;
     let codes = 0..decoder.codes()[1] as i32;
     // The upper half does not move the pelvis.
-    let poses: Vec<_> = codes
-        .map(|lower| [vec![0; REPEATS], vec![lower; REPEATS]])
-        .collect();
+    let poses: Vec<_> = codes.map(|lower| [vec![0; REPEATS], vec![lower; REPEATS]]).collect();
     let motions = decoder.positions_of_many(&poses);
     let low = (0..).zip(motions).filter_map(|(code, motion)| {
         let height = pelvis_height(&motion?)?;
         (height < lowest).then_some(code)
     });
-    Ok(SuppressedCodes {
-        upper: Vec::new(),
-        lower: low.collect(),
-    })
+    Ok(SuppressedCodes { upper: Vec::new(), lower: low.collect() })
 }
 
 /// Returns the height of the pelvis above the lowest joint in the middle of a motion.

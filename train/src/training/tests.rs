@@ -75,13 +75,8 @@ fn codes<B: crate::nn::Kernels<Device = FlexDevice>>(
     let whole = Draw { ..Draw::default() };
     let piece = std::slice::from_ref(piece);
     [0, 1].map(|half| {
-        let motion = motion_columns(
-            piece,
-            &[whole],
-            frames,
-            &frozen.halves.columns[half],
-            &FlexDevice,
-        );
+        let motion =
+            motion_columns(piece, &[whole], frames, &frozen.halves.columns[half], &FlexDevice);
         let net = &frozen.halves.nets[half];
         let codes = net.encode(&frozen.parameters, &frozen.codebooks[half], motion);
         codes.into_data().iter::<i32>().collect()
@@ -101,11 +96,7 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
 
     let frozen = FrozenVqVae::<Flex>::read(&config, &FlexDevice).unwrap();
-    let wanted = Augmentation {
-        mirror: true,
-        phases: 8,
-        vectors: true,
-    };
+    let wanted = Augmentation { mirror: true, phases: 8, vectors: true };
     let found = Codes::encode(&frozen, set.training.pieces(), wanted, &FlexDevice, log);
     for (index, positions) in positions.iter().enumerate() {
         for phase in 0..8 {
@@ -113,12 +104,7 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
                 let motion = Motion::new(part(positions, phase));
                 let motion = if side { mirrored(&motion) } else { motion };
                 let expected = codes(&frozen, &piece(motion.into_positions(), 0, 0));
-                let draw = Draw {
-                    dance: index,
-                    phase,
-                    mirrored: side,
-                    ..Draw::default()
-                };
+                let draw = Draw { dance: index, phase, mirrored: side, ..Draw::default() };
                 assert_eq!(found.of(&draw), &expected, "{draw:?}");
                 for half in [0, 1] {
                     let vectors = found.vectors_of(&draw)[half].clone();
@@ -138,11 +124,7 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
     let (spec, stage) = GptStage::<Tracked>::new(&config, &set, None, &FlexDevice, log).unwrap();
     assert_eq!(spec.windows, (37 - 29) + (31 - 29));
     let block = config.gpt.block;
-    let crops = crate::data::CropPlan {
-        frames: 8 * (block + 1),
-        stride: 8,
-        mirror: true,
-    };
+    let crops = crate::data::CropPlan { frames: 8 * (block + 1), stride: 8, mirror: true };
     for draw in crops.round(&set.training.music_choices(8), 5, 0) {
         let rows = values(&stage.music::<Flex>(set.training.pieces(), &[draw]));
         for (row, values) in rows.chunks(3).enumerate() {
@@ -159,11 +141,9 @@ fn test_losses_are_the_losses_without_learning() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(folder.path());
     (config.data.mirror, config.data.phases) = (false, 1);
-    for training in [
-        &mut config.vqvae.training,
-        &mut config.velocity.training,
-        &mut config.gpt.training,
-    ] {
+    for training in
+        [&mut config.vqvae.training, &mut config.velocity.training, &mut config.gpt.training]
+    {
         training.batch = 1;
     }
     (config.vqvae.frames, config.velocity.frames) = (240, 240);
@@ -182,11 +162,7 @@ fn test_losses_are_the_losses_without_learning() {
     let (spec, mut stage) = VelocityStage::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
     let parameters = Parameters::from_store(&spec.store, &FlexDevice);
     compare(&mut stage, &parameters, &[0, 3]);
-    let output = spec
-        .store
-        .entries()
-        .iter()
-        .find(|(name, _)| name == "root.output.bias");
+    let output = spec.store.entries().iter().find(|(name, _)| name == "root.output.bias");
     assert_eq!(output.unwrap().1.shape(), [4]);
 
     let (spec, mut stage) =
@@ -259,9 +235,7 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
 
     // Side by side they are the same as each alone, for all lengths.
     let shorter = codes.each_ref().map(|half| half[1..].to_vec());
-    let reversed = codes
-        .each_ref()
-        .map(|half| half.iter().rev().copied().collect());
+    let reversed = codes.each_ref().map(|half| half.iter().rev().copied().collect());
     let pieces = [codes, reversed, shorter];
     let decoder = MotionDecoder::<Flex>::read(&config, &FlexDevice).unwrap();
     let together = decoder.positions_of_many(&pieces);
@@ -270,11 +244,7 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
         let (together, alone) = (together.unwrap(), decoder.positions(codes).unwrap());
         assert_eq!(together.dim(), alone.dim());
         let pairs = together.iter().zip(&alone);
-        assert!(
-            pairs
-                .into_iter()
-                .all(|(one, other)| (one - other).abs() < 1e-4)
-        );
+        assert!(pairs.into_iter().all(|(one, other)| (one - other).abs() < 1e-4));
     }
 }
 
@@ -293,10 +263,7 @@ fn compare<S: TrainableStage<Tracked>>(
     let test = stage.test(parameters).unwrap();
     assert_eq!(state(stage), before, "a test changes nothing");
     let metrics = stage.step(&parameters.tracked(), 1).metrics;
-    assert_eq!(
-        (test.len(), columns.len()),
-        (S::TEST_COLUMNS.len(), columns.len())
-    );
+    assert_eq!((test.len(), columns.len()), (S::TEST_COLUMNS.len(), columns.len()));
     for (&column, test) in columns.iter().zip(test) {
         let trained = values(&metrics[column])[0];
         assert!(
@@ -365,9 +332,7 @@ fn path(dance: &Positions) -> f32 {
     let frames = 1..dance.len_of(Axis(0));
     let step = |frame: usize, axis| dance[[frame, 0, axis]] - dance[[frame - 1, 0, axis]];
     let steps = frames.map(|frame| [0, 1, 2].map(|axis| step(frame, axis).powi(2)));
-    steps
-        .map(|squares| squares.iter().sum::<f32>().sqrt())
-        .sum()
+    steps.map(|squares| squares.iter().sum::<f32>().sqrt()).sum()
 }
 
 #[test]
@@ -382,10 +347,7 @@ fn runs_with_parts_left_out_learn_and_dance() {
     for ablation in cases {
         let folder = tempfile::tempdir().unwrap();
         let config = trained(folder.path(), ablation);
-        assert_eq!(
-            folder.path().join("velocity").exists(),
-            !ablation.root_in_pose
-        );
+        assert_eq!(folder.path().join("velocity").exists(), !ablation.root_in_pose);
         let (codes, dance) = generated(&config);
         assert_eq!(codes[0] == codes[1], ablation.whole_body, "{ablation:?}");
         assert!(path(&dance) > 0.01, "{ablation:?}: the root stands still");
@@ -416,19 +378,10 @@ fn the_pose_may_include_the_roots_motion() {
     let mut config = config(folder.path());
     config.ablation.root_in_pose = true;
     let piece = piece(dance(40, 1), 0, 0);
-    let draw = Draw {
-        start: 8,
-        mirrored: true,
-        ..Draw::default()
-    };
+    let draw = Draw { start: 8, mirrored: true, ..Draw::default() };
     let [_, lower] = config.pose_columns();
-    let crop = motion_columns::<Flex>(
-        std::slice::from_ref(&piece),
-        &[draw],
-        8,
-        &lower,
-        &FlexDevice,
-    );
+    let crop =
+        motion_columns::<Flex>(std::slice::from_ref(&piece), &[draw], 8, &lower, &FlexDevice);
     for (frame, row) in values(&crop).chunks(lower.len()).enumerate() {
         let value = |column| piece.value(8 + frame, column, true);
         assert_eq!(row[..3], [value(0), value(1), value(2)]);

@@ -136,18 +136,11 @@ mod tests {
     }
 
     fn window(start: usize) -> Draw {
-        Draw {
-            start,
-            ..Draw::default()
-        }
+        Draw { start, ..Draw::default() }
     }
 
     fn augmentation(share: f64) -> TimeShiftAugmentation {
-        TimeShiftAugmentation {
-            share,
-            frames: 11,
-            block: BLOCK,
-        }
+        TimeShiftAugmentation { share, frames: 11, block: BLOCK }
     }
 
     #[test]
@@ -163,18 +156,9 @@ mod tests {
         let mut offsets = Vec::new();
         for [upper, lower] in &shifted {
             assert_eq!(upper.len(), BLOCK);
-            assert!(
-                upper
-                    .iter()
-                    .zip(lower)
-                    .all(|(upper, lower)| *upper == -lower)
-            );
+            assert!(upper.iter().zip(lower).all(|(upper, lower)| *upper == -lower));
             let own = (16..).step_by(PHASES);
-            let apart: Vec<i32> = upper
-                .iter()
-                .zip(own)
-                .map(|(code, own)| code - own)
-                .collect();
+            let apart: Vec<i32> = upper.iter().zip(own).map(|(code, own)| code - own).collect();
             steady += apart.iter().filter(|&&frames| frames == 0).count();
             offsets.extend(apart);
         }
@@ -192,10 +176,7 @@ mod tests {
                 augmentation(1.0).draw(&codes(), &[window(start); 50], &mut generator(2, 0));
             let all = found.iter().flatten().flat_map(|[upper, _]| upper);
             assert_eq!(all.clone().count(), 50 * BLOCK);
-            assert!(
-                all.into_iter()
-                    .all(|code| (0..(PHASES * LENGTH) as i32).contains(code))
-            );
+            assert!(all.into_iter().all(|code| (0..(PHASES * LENGTH) as i32).contains(code)));
         }
     }
 
@@ -214,12 +195,8 @@ mod tests {
 
     #[test]
     fn noise_replaces_its_share_of_the_codes() {
-        let mut corruption = InputCorruption {
-            shifts: Vec::new(),
-            noise: 0.25,
-            codes: 10,
-            random: generator(1, 0),
-        };
+        let mut corruption =
+            InputCorruption { shifts: Vec::new(), noise: 0.25, codes: 10, random: generator(1, 0) };
         let mut codes = vec![-1; 4_000];
         corruption.apply(&mut codes, 0, 40);
         let replaced = codes.iter().filter(|&&code| code != -1);

@@ -29,10 +29,7 @@ pub fn train(
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
     if stage == Stage::Velocity && !stage.is_part_of(config) {
-        return Err(TrainError::LeftOut {
-            what: "velocity",
-            flag: "root_in_pose",
-        });
+        return Err(TrainError::LeftOut { what: "velocity", flag: "root_in_pose" });
     }
     on_device!(config.run.device.as_str(), |A, device| match stage {
         Stage::VqVae => {

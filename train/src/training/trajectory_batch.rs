@@ -44,9 +44,8 @@ impl<A: Trainable> TrajectoryBatch<A> {
         let (music, states) = inputs(&excerpts, block, device);
         let shape = [windows.len(), moves];
         let taken = [0, 1].map(|half| {
-            let codes = excerpts
-                .iter()
-                .flat_map(|window| &window.codes[half][window.first + 1..][..moves]);
+            let codes =
+                excerpts.iter().flat_map(|window| &window.codes[half][window.first + 1..][..moves]);
             nn::codes(codes.copied(), shape, device)
         });
         let rewards = windows.iter().flat_map(|&(piece, first)| {
@@ -61,10 +60,7 @@ impl<A: Trainable> TrajectoryBatch<A> {
         });
         let counts: Vec<f32> = counts.collect();
         let total: f32 = counts.iter().sum();
-        let shares = counts
-            .iter()
-            .map(|count| count / total)
-            .collect::<Vec<f32>>();
+        let shares = counts.iter().map(|count| count / total).collect::<Vec<f32>>();
         Self {
             music,
             states,
@@ -80,9 +76,7 @@ impl<A: Trainable> TrajectoryBatch<A> {
         let [windows, moves] = self.rewards.dims();
         let half = |logits: Tensor<A, 3>, taken: &Tensor<A, 2, Int>| {
             let scores = log_softmax(logits.narrow(1, 0, moves), 2);
-            let cross_entropy = scores
-                .clone()
-                .gather(2, taken.clone().unsqueeze_dim::<3>(2));
+            let cross_entropy = scores.clone().gather(2, taken.clone().unsqueeze_dim::<3>(2));
             let entropy = (scores.clone().exp() * scores).sum_dim(2);
             [cross_entropy, entropy].map(|sum| sum.neg().reshape([windows, moves]))
         };
@@ -207,10 +201,7 @@ mod tests {
         let td_error = batch.td_error(state_values, 0.5);
         let wanted = [1.0 - 1.0 - 1.0, 4.0 + 0.25 + 2.0, 9.0 + 1.5 - 0.5];
         assert_eq!(values(&td_error), wanted);
-        assert_eq!(
-            values(&batch.mean(td_error)),
-            [(wanted.iter().sum::<f32>()) / 3.0]
-        );
+        assert_eq!(values(&batch.mean(td_error)), [(wanted.iter().sum::<f32>()) / 3.0]);
 
         let table = |shift: f32| {
             let scores = (0..BLOCK * 20).map(|flat| (flat as f32 * 0.37 + shift).sin());
@@ -218,18 +209,13 @@ mod tests {
         };
         let (upper, lower) = (table(0.0), table(1.0));
         let device = |table: &[f32]| numbers(table.to_vec(), [1, BLOCK, 20], &FlexDevice);
-        let (cross_entropy, entropy) = batch.policy(Logits {
-            upper: device(&upper),
-            lower: device(&lower),
-        });
+        let (cross_entropy, entropy) =
+            batch.policy(Logits { upper: device(&upper), lower: device(&lower) });
         for step in 0..BLOCK - 1 {
             let half = |table: &[f32], taken: usize| {
                 let row = &table[step * 20..][..20];
                 let total: f32 = row.iter().map(|score| score.exp()).sum();
-                let entropy: f32 = row
-                    .iter()
-                    .map(|x| -(x.exp() / total) * (x - total.ln()))
-                    .sum();
+                let entropy: f32 = row.iter().map(|x| -(x.exp() / total) * (x - total.ln())).sum();
                 (total.ln() - row[taken], entropy)
             };
             let (upper, lower) = (half(&upper, step + 1), half(&lower, 11 + step));
@@ -243,9 +229,7 @@ mod tests {
     fn a_divergence_is_none_from_itself_and_else_as_defined() {
         let batch = batch(&[(0, 0)], 0);
         let table = |shift: f32| -> Vec<f32> {
-            (0..BLOCK * 20)
-                .map(|flat| (flat as f32 * 0.37 + shift).sin())
-                .collect()
+            (0..BLOCK * 20).map(|flat| (flat as f32 * 0.37 + shift).sin()).collect()
         };
         fn device<B: burn_tensor::backend::Backend<Device = FlexDevice>>(
             table: &[f32],
@@ -288,14 +272,8 @@ mod tests {
     fn later_td_errors_count_by_their_distance() {
         let batch = batch(&[(0, 0)], 0);
         let td_error = || Tensor::<Cpu, 2>::from_floats([[1.0, -2.0, 4.0]], &FlexDevice);
-        assert_eq!(
-            values(&batch.generalised_advantage(td_error(), 0.0)),
-            [1.0, -2.0, 4.0]
-        );
-        assert_eq!(
-            values(&batch.generalised_advantage(td_error(), 0.5)),
-            [1.0, 0.0, 4.0]
-        );
+        assert_eq!(values(&batch.generalised_advantage(td_error(), 0.0)), [1.0, -2.0, 4.0]);
+        assert_eq!(values(&batch.generalised_advantage(td_error(), 0.5)), [1.0, 0.0, 4.0]);
     }
 
     #[test]

@@ -43,20 +43,14 @@ impl Decoders {
             let weights = halves.nets[half].decoder.weights(&halves.store);
             DecoderNet::new(&format!("{}.decoder", HALVES[half]), &weights, &mut store)
         };
-        Self {
-            root,
-            halves: config.velocity.pose_decoders.then(|| [half(0), half(1)]),
-            store,
-        }
+        Self { root, halves: config.velocity.pose_decoders.then(|| [half(0), half(1)]), store }
     }
 
     /// Reads the decoders of the finished stage.
     pub(super) fn trained(config: &Config) -> Result<Self, TrainError> {
         let decoders = Self::new(config, &Halves::random(config));
         let (path, checkpoint) = read_kept(config, Stage::Velocity)?;
-        let store = checkpoint
-            .fill(WEIGHT, &decoders.store)
-            .map_err(TrainError::state(&path))?;
+        let store = checkpoint.fill(WEIGHT, &decoders.store).map_err(TrainError::state(&path))?;
         Ok(Self { store, ..decoders })
     }
 }
@@ -80,11 +74,7 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
     ) -> Result<(StageSpec<'a>, Self), TrainError> {
         let settings = &config.velocity;
         let frozen = FrozenVqVae::read(config, device)?;
-        let Decoders {
-            root,
-            halves,
-            store,
-        } = Decoders::new(config, &frozen.halves);
+        let Decoders { root, halves, store } = Decoders::new(config, &frozen.halves);
         let crops = (settings.frames, settings.stride);
         let windows = motion_windows(config, set, crops, config.run.seed ^ 1)?;
         let spec = StageSpec {
@@ -95,15 +85,7 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
             store,
             windows: windows.len(),
         };
-        let stage = Self {
-            config,
-            set,
-            windows,
-            root,
-            halves,
-            frozen,
-            device: device.clone(),
-        };
+        let stage = Self { config, set, windows, root, halves, frozen, device: device.clone() };
         Ok((spec, stage))
     }
 
@@ -126,10 +108,7 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
             let nearest = codebook.nearest(entries.reshape([windows * codes, channels]));
             entries = codebook.lookup(nearest).reshape([windows, codes, channels]);
         }
-        Examples {
-            entries,
-            target: motion,
-        }
+        Examples { entries, target: motion }
     }
 
     /// Gathers the root's columns of crops.
@@ -188,9 +167,7 @@ struct Examples<B: Kernels> {
 /// Returns the metres that every joint moves in a frame, `[batch, frames - 1, joints, 1]`.
 fn speeds<B: Kernels>(motion: Tensor<B, 3>) -> Tensor<B, 4> {
     let [batch, frames, columns] = motion.dims();
-    let squares = change(motion)
-        .reshape([batch, frames - 1, columns / 3, 3])
-        .square();
+    let squares = change(motion).reshape([batch, frames - 1, columns / 3, 3]).square();
     squares.sum_dim(3).add_scalar(REST).sqrt()
 }
 
@@ -198,16 +175,11 @@ impl<A: Trainable> TrainableStage<A> for VelocityStage<'_, A> {
     const COLUMNS: &'static [&'static str] = &["loss", "velocity", "difference", "poses"];
 
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
-        let windows = self
-            .windows
-            .batch(step, self.config.velocity.training.batch);
+        let windows = self.windows.batch(step, self.config.velocity.training.batch);
         let crops = (self.set.training.pieces(), &windows[..]);
         let losses = self.losses(parameters, crops, Tensor::from_inner);
         let [loss, ..] = losses.clone();
-        Losses {
-            loss,
-            metrics: losses.map(Tensor::inner).into(),
-        }
+        Losses { loss, metrics: losses.map(Tensor::inner).into() }
     }
 
     const TEST_COLUMNS: &'static [&'static str] = &["test_loss", "test_poses"];

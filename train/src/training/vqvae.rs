@@ -107,14 +107,10 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
             Codebook::from_batch(vectors.clone(), settings.codes, &mut random)
         });
         let indices = codebook.nearest(vectors.clone());
-        let quantised = codebook
-            .lookup(indices.clone())
-            .reshape([batch, codes, channels]);
+        let quantised = codebook.lookup(indices.clone()).reshape([batch, codes, channels]);
         let perplexity = codebook.perplexity(indices.clone());
-        let average = MovingAverage {
-            decay: settings.decay,
-            restart_below: settings.restart_below,
-        };
+        let average =
+            MovingAverage { decay: settings.decay, restart_below: settings.restart_below };
         let restarted = codebook.update(vectors, indices, average, &mut random);
 
         let quantised = Tensor::<A, 3>::from_inner(quantised);
@@ -142,9 +138,7 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
         let [position, velocity, acceleration] = differences(error);
         let loss = position.clone()
             + velocity.clone().mul_scalar(settings.velocity_weight)
-            + acceleration
-                .clone()
-                .mul_scalar(settings.acceleration_weight)
+            + acceleration.clone().mul_scalar(settings.acceleration_weight)
             + commitment.clone().mul_scalar(settings.commitment);
         [loss, position, velocity, acceleration, commitment]
     }

@@ -32,10 +32,7 @@ pub fn run_all(
     let mut known = None;
     // As for a single stage, reading is not counted: every call gets some steps done.
     let mut spent = 0.0;
-    for stage in Stage::ALL
-        .into_iter()
-        .filter(|stage| stage.is_part_of(config))
-    {
+    for stage in Stage::ALL.into_iter().filter(|stage| stage.is_part_of(config)) {
         if is_finished(config, stage)? {
             tell(output, &format!("{}: finished before", stage.name()));
             continue;
@@ -44,10 +41,7 @@ pub fn run_all(
             check_target(&config.export.folder, replace)?;
         }
         let set = read_once(&mut known, stage.load(), config, output)?;
-        let limits = Limits {
-            seconds: limits.seconds.map(|most| most - spent),
-            ..limits
-        };
+        let limits = Limits { seconds: limits.seconds.map(|most| most - spent), ..limits };
         let start = Instant::now();
         if train(stage, config, set, None, limits, output)? == Outcome::Paused {
             return Ok(Outcome::Paused);
@@ -55,10 +49,7 @@ pub fn run_all(
         spent += start.elapsed().as_secs_f64();
     }
     if config.ablation.flag().is_some() {
-        tell(
-            output,
-            "export: left out, as parts of the model are ([ablation])",
-        );
+        tell(output, "export: left out, as parts of the model are ([ablation])");
         return Ok(Outcome::Finished);
     }
     let folder = config.export.folder.display();

@@ -18,13 +18,7 @@ impl Windows {
     /// Returns the windows of all motions; `None` where no motion is long enough for one.
     pub(super) fn new(plan: CropPlan, motions: Vec<Choice>, seed: u64) -> Option<Self> {
         let count = plan.crops(&motions);
-        (count > 0).then_some(Self {
-            count,
-            plan,
-            motions,
-            seed,
-            drawn: None,
-        })
+        (count > 0).then_some(Self { count, plan, motions, seed, drawn: None })
     }
 
     /// Returns the number of windows in a round.
@@ -35,9 +29,7 @@ impl Windows {
     /// Returns the windows of a step: round after round over all motions.
     pub(super) fn batch(&mut self, step: u64, size: usize) -> Vec<Draw> {
         let first = step * size as u64;
-        (first..first + size as u64)
-            .map(|place| self.at(place))
-            .collect()
+        (first..first + size as u64).map(|place| self.at(place)).collect()
     }
 
     fn at(&mut self, place: u64) -> Draw {
@@ -66,17 +58,8 @@ mod tests {
 
     #[test]
     fn a_round_holds_every_window_once() {
-        let motions = [10, 3, 6].map(|frames| Choice {
-            frames,
-            skipped: 0,
-            songs: 1,
-            phases: 1,
-        });
-        let plan = CropPlan {
-            frames: 4,
-            stride: 2,
-            mirror: false,
-        };
+        let motions = [10, 3, 6].map(|frames| Choice { frames, skipped: 0, songs: 1, phases: 1 });
+        let plan = CropPlan { frames: 4, stride: 2, mirror: false };
         let windows = || Windows::new(plan, motions.to_vec(), 7).unwrap();
         let drawn = windows().batch(0, 6);
         assert_eq!(drawn[4..], windows().batch(2, 2));

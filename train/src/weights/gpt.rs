@@ -123,35 +123,22 @@ impl GptWeights {
         heads: usize,
     ) -> Result<Self, WeightError> {
         let mut source = Source::new(checkpoint);
-        let upper_embedding = source.take(
-            "gpt_base.tok_emb_up.weight",
-            &[Any("vocabulary"), Any("channels")],
-        )?;
+        let upper_embedding =
+            source.take("gpt_base.tok_emb_up.weight", &[Any("vocabulary"), Any("channels")])?;
         let channels = upper_embedding.dim(1);
         check_heads(&source, channels, heads)?;
-        let lower_embedding = source.take(
-            "gpt_base.tok_emb_down.weight",
-            &[Any("vocabulary"), Is(channels)],
-        )?;
+        let lower_embedding =
+            source.take("gpt_base.tok_emb_down.weight", &[Any("vocabulary"), Is(channels)])?;
         let positions = positions(&mut source, channels)?;
         let mut blocks = blocks(&mut source, "gpt_base", channels)?;
         blocks.extend(self::blocks(&mut source, "gpt_head", channels)?);
         Ok(Self {
-            music: linear(
-                &mut source,
-                "gpt_base.cond_emb",
-                Is(channels),
-                Any("columns"),
-            )?,
+            music: linear(&mut source, "gpt_base.cond_emb", Is(channels), Any("columns"))?,
             final_norm: layer_norm(&mut source, "gpt_head.ln_f", channels)?,
-            upper_head: source.take(
-                "gpt_head.head_up.weight",
-                &[Is(upper_embedding.dim(0)), Is(channels)],
-            )?,
-            lower_head: source.take(
-                "gpt_head.head_down.weight",
-                &[Is(lower_embedding.dim(0)), Is(channels)],
-            )?,
+            upper_head: source
+                .take("gpt_head.head_up.weight", &[Is(upper_embedding.dim(0)), Is(channels)])?,
+            lower_head: source
+                .take("gpt_head.head_down.weight", &[Is(lower_embedding.dim(0)), Is(channels)])?,
             upper_embedding,
             lower_embedding,
             positions,
@@ -189,11 +176,7 @@ fn check_heads(source: &Source<'_>, channels: usize, heads: usize) -> Result<(),
     if heads > 0 && channels.is_multiple_of(heads) {
         return Ok(());
     }
-    Err(WeightError::Heads {
-        path: source.path().to_owned(),
-        channels,
-        heads,
-    })
+    Err(WeightError::Heads { path: source.path().to_owned(), channels, heads })
 }
 
 /// The position table without its leading dimension of 1.
@@ -226,22 +209,11 @@ fn blocks(
 }
 
 fn block(source: &mut Source<'_>, name: &str, channels: usize) -> Result<Block, CheckpointError> {
-    let mut square = |part: &str| {
-        linear(
-            source,
-            &format!("{name}.attn.{part}"),
-            Is(channels),
-            Is(channels),
-        )
-    };
+    let mut square =
+        |part: &str| linear(source, &format!("{name}.attn.{part}"), Is(channels), Is(channels));
     let (query, key, value) = (square("query")?, square("key")?, square("value")?);
     let projection = square("proj")?;
-    let mlp_in = linear(
-        source,
-        &format!("{name}.mlp.0"),
-        Any("hidden"),
-        Is(channels),
-    )?;
+    let mlp_in = linear(source, &format!("{name}.mlp.0"), Any("hidden"), Is(channels))?;
     let hidden = mlp_in.weight.dim(0);
     Ok(Block {
         attention_norm: layer_norm(source, &format!("{name}.ln1"), channels)?,

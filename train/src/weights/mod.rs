@@ -26,9 +26,5 @@ pub enum WeightError {
     /// The head count cannot be read off the tensors and the one given does not fit them.
     #[error("{}: {channels} channels cannot be divided among {heads} heads: give the right count \
              with --heads", path.display())]
-    Heads {
-        path: PathBuf,
-        channels: usize,
-        heads: usize,
-    },
+    Heads { path: PathBuf, channels: usize, heads: usize },
 }

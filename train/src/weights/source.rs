@@ -40,15 +40,11 @@ impl<'a> Source<'a> {
     ) -> Result<HostTensor, CheckpointError> {
         let tensor = self.checkpoint.tensor(name)?;
         let fits = tensor.shape().len() == shape.len()
-            && tensor
-                .shape()
-                .iter()
-                .zip(shape)
-                .all(|(&found, size)| match *size {
-                    Size::Is(expected) => found == expected,
-                    Size::Between(least, most) => (least..=most).contains(&found),
-                    Size::Any(_) => found > 0,
-                });
+            && tensor.shape().iter().zip(shape).all(|(&found, size)| match *size {
+                Size::Is(expected) => found == expected,
+                Size::Between(least, most) => (least..=most).contains(&found),
+                Size::Any(_) => found > 0,
+            });
         if fits {
             return Ok(tensor);
         }
@@ -72,9 +68,7 @@ impl<'a> Source<'a> {
 
     /// How many of `name(0)`, `name(1)`, .. are there without a gap.
     pub(super) fn count(&self, name: impl Fn(usize) -> String) -> usize {
-        (0..)
-            .take_while(|&index| self.checkpoint.contains(&name(index)))
-            .count()
+        (0..).take_while(|&index| self.checkpoint.contains(&name(index))).count()
     }
 }
 

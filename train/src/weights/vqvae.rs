@@ -11,10 +11,8 @@ use super::{
 use crate::{HostTensor, checkpoint::CheckpointError, checkpoint::TorchCheckpoint};
 
 /// SMPL joints of the upper and of the lower half (ARCHITECTURE section 1).
-pub const HALF_JOINTS: ([usize; 15], [usize; 9]) = (
-    [3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23],
-    [0, 1, 2, 4, 5, 7, 8, 10, 11],
-);
+pub const HALF_JOINTS: ([usize; 15], [usize; 9]) =
+    ([3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23], [0, 1, 2, 4, 5, 7, 8, 10, 11]);
 /// Kernel of every strided and transposed convolution.
 const STRIDED_KERNEL: usize = 4;
 /// Kernel of the plain and of the dilated convolutions.
@@ -115,20 +113,11 @@ impl VqVaeWeights {
         let (upper_joints, lower_joints) = HALF_JOINTS;
         let upper = half(&mut source, "vqvae_up", 3 * upper_joints.len(), None)?;
         let levels = upper.encoder.levels.len();
-        let lower = half(
-            &mut source,
-            "vqvae_down",
-            3 * lower_joints.len(),
-            Some(levels),
-        )?;
+        let lower = half(&mut source, "vqvae_down", 3 * lower_joints.len(), Some(levels))?;
         let root = decoder(
             &mut source,
             "vqvae_down.decoders_root.0",
-            DecoderSizes {
-                columns: Between(3, 4),
-                embedding: lower.codebook.dim(1),
-                levels,
-            },
+            DecoderSizes { columns: Between(3, 4), embedding: lower.codebook.dim(1), levels },
         )?;
         Ok(Self { upper, lower, root })
     }
@@ -158,23 +147,11 @@ fn half(
     columns: usize,
     levels: Option<usize>,
 ) -> Result<HalfWeights, CheckpointError> {
-    let codebook = source.take(
-        &format!("{name}.bottleneck.level_blocks.0.k"),
-        &[Any("codes"), Any("embedding")],
-    )?;
+    let codebook = source
+        .take(&format!("{name}.bottleneck.level_blocks.0.k"), &[Any("codes"), Any("embedding")])?;
     let embedding = codebook.dim(1);
-    let encoder = encoder(
-        source,
-        &format!("{name}.encoders.0"),
-        columns,
-        embedding,
-        levels,
-    )?;
-    let sizes = DecoderSizes {
-        columns: Is(columns),
-        embedding,
-        levels: encoder.levels.len(),
-    };
+    let encoder = encoder(source, &format!("{name}.encoders.0"), columns, embedding, levels)?;
+    let sizes = DecoderSizes { columns: Is(columns), embedding, levels: encoder.levels.len() };
     Ok(HalfWeights {
         decoder: decoder(source, &format!("{name}.decoders.0"), sizes)?,
         encoder,
@@ -191,9 +168,7 @@ fn encoder(
 ) -> Result<EncoderWeights, CheckpointError> {
     let name = format!("{name}.level_blocks.0.model");
     // Beyond the bound, the output convolution will not be where it is expected: an error as well.
-    let count = source
-        .count(|level| format!("{name}.{level}.0.weight"))
-        .clamp(1, MAX_LEVELS);
+    let count = source.count(|level| format!("{name}.{level}.0.weight")).clamp(1, MAX_LEVELS);
     let count = levels.unwrap_or(count);
     let mut width = columns;
     let mut levels = Vec::with_capacity(count);
@@ -203,19 +178,11 @@ fn encoder(
         width = strided.weight.dim(0);
         levels.push(EncoderLevel {
             strided,
-            stack: stack(
-                source,
-                &format!("{name}.{level}.1"),
-                width,
-                Dilations::Ascending,
-            )?,
+            stack: stack(source, &format!("{name}.{level}.1"), width, Dilations::Ascending)?,
         });
     }
     let shape = ConvolutionShape::new(Is(embedding), Is(width), KERNEL);
-    Ok(EncoderWeights {
-        levels,
-        output: convolution(source, &format!("{name}.{count}"), shape)?,
-    })
+    Ok(EncoderWeights { levels, output: convolution(source, &format!("{name}.{count}"), shape)? })
 }
 
 /// What a decoder must fit.
@@ -237,12 +204,7 @@ fn decoder(
     let mut width = input.weight.dim(0);
     let mut levels = Vec::with_capacity(sizes.levels);
     for level in 1..=sizes.levels {
-        let stack = stack(
-            source,
-            &format!("{model}.{level}.0"),
-            width,
-            Dilations::Descending,
-        )?;
+        let stack = stack(source, &format!("{model}.{level}.0"), width, Dilations::Descending)?;
         let transposed = transposed(source, &format!("{model}.{level}.1"), width)?;
         width = transposed.weight.dim(1);
         levels.push(DecoderLevel { stack, transposed });
@@ -267,9 +229,7 @@ fn stack(
     width: usize,
     dilations: Dilations,
 ) -> Result<Vec<ResidualBlock>, CheckpointError> {
-    let depth = source
-        .count(|block| format!("{name}.model.{block}.model.1.weight"))
-        .max(1);
+    let depth = source.count(|block| format!("{name}.model.{block}.model.1.weight")).max(1);
     let mut blocks = Vec::with_capacity(depth);
     for block in 0..depth {
         let exponent = match dilations {
@@ -299,11 +259,7 @@ struct ConvolutionShape {
 
 impl ConvolutionShape {
     fn new(outputs: Size, inputs: Size, kernel: usize) -> Self {
-        Self {
-            outputs,
-            inputs,
-            kernel,
-        }
+        Self { outputs, inputs, kernel }
     }
 }
 
@@ -312,10 +268,8 @@ fn convolution(
     name: &str,
     shape: ConvolutionShape,
 ) -> Result<Convolution, CheckpointError> {
-    let weight = source.take(
-        &format!("{name}.weight"),
-        &[shape.outputs, shape.inputs, Is(shape.kernel)],
-    )?;
+    let weight =
+        source.take(&format!("{name}.weight"), &[shape.outputs, shape.inputs, Is(shape.kernel)])?;
     let bias = source.take(&format!("{name}.bias"), &[Is(weight.dim(0))])?;
     Ok(Convolution { weight, bias })
 }

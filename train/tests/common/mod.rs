@@ -128,10 +128,7 @@ pub(crate) fn floats(path: &Path) -> Array2<f32> {
 
 pub(crate) fn codes(path: &Path) -> Vec<u32> {
     let codes: Array1<i64> = ndarray_npy::read_npy(path).unwrap();
-    codes
-        .iter()
-        .map(|&code| u32::try_from(code).unwrap())
-        .collect()
+    codes.iter().map(|&code| u32::try_from(code).unwrap()).collect()
 }
 
 /// Fails where two arrays differ by more than `tolerance`, and says by how much.

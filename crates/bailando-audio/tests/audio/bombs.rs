@@ -12,13 +12,7 @@ fn peak_kib() -> Option<u64> {
 fn ten_hours_of_silence_are_refused_at_once() {
     let hours = 36_000 * 48_000;
     for (channels, declared) in [(1, hours), (8, hours), (8, 0), (8, 48_000)] {
-        let bytes = SilentFlac {
-            rate: 48_000,
-            channels,
-            frames: hours,
-            declared,
-        }
-        .bytes();
+        let bytes = SilentFlac { rate: 48_000, channels, frames: hours, declared }.bytes();
         let (size, before, start) = (bytes.len(), peak_kib(), Instant::now());
         let error = refusal(bytes);
         let elapsed = start.elapsed();
@@ -27,10 +21,7 @@ fn ten_hours_of_silence_are_refused_at_once() {
         assert!(elapsed < Duration::from_millis(500), "{elapsed:?}");
         // Other tests of this process allocate as well, far below the 64 MiB allowed.
         if let (Some(before), Some(after)) = (before, peak_kib()) {
-            assert!(
-                after.saturating_sub(before) < 64 * 1024,
-                "{before} to {after} KiB"
-            );
+            assert!(after.saturating_sub(before) < 64 * 1024, "{before} to {after} KiB");
         }
     }
 }
@@ -54,12 +45,7 @@ fn declared_sizes_reserve_nothing() {
     let start = Instant::now();
     let error = refusal(wav_declaring(1, 44_100, 16, &[0; 980], 2_000_000_000));
     assert!(matches!(error, AudioError::TooShort { .. }), "{error}");
-    let few = SilentFlac {
-        rate: 44_100,
-        channels: 8,
-        frames: 65_535,
-        declared: 0xf_ffff_ffff,
-    };
+    let few = SilentFlac { rate: 44_100, channels: 8, frames: 65_535, declared: 0xf_ffff_ffff };
     assert!(matches!(refusal(few.bytes()), AudioError::TooLong { .. }));
     assert!(start.elapsed() < Duration::from_millis(500));
 }

@@ -7,10 +7,7 @@ fn things_that_are_no_audio() {
     assert!(matches!(refusal(""), AudioError::Empty));
     let container = |bytes: Vec<u8>| {
         let error = refusal(bytes);
-        assert!(
-            matches!(error, AudioError::UnsupportedContainer { .. }),
-            "{error}"
-        );
+        assert!(matches!(error, AudioError::UnsupportedContainer { .. }), "{error}");
     };
     container(vec![0]);
     container(b"la la la".to_vec());
@@ -32,10 +29,7 @@ fn headers_without_audio() {
         }
     }
     let flac = fixture("demo.flac");
-    assert!(matches!(
-        refusal(flac[..21].to_vec()),
-        AudioError::Malformed { .. }
-    ));
+    assert!(matches!(refusal(flac[..21].to_vec()), AudioError::Malformed { .. }));
 }
 
 #[test]
@@ -71,11 +65,7 @@ fn damaged_packets_become_silence_and_keep_the_time() {
     }
     let song = decode(file, &[32_000]).unwrap();
     println!("{} s, {:?}", song.duration_s, song.warnings);
-    assert!(
-        song.warnings
-            .iter()
-            .any(|warning| warning.contains("silence"))
-    );
+    assert!(song.warnings.iter().any(|warning| warning.contains("silence")));
     assert_eq!(song.duration_s, 30.0);
     let tail = 25 * 32_000;
     assert_eq!(song.signals[0][tail..], whole.signals[0][tail..]);
@@ -98,16 +88,9 @@ fn first_frame(file: &[u8]) -> usize {
 fn flac_frames_lost_in_front_become_silence_and_keep_the_time() {
     let whole = decode(fixture("demo.flac"), &[32_000]).unwrap();
     let start = first_frame(&fixture("demo.flac"));
-    let block = usize::from(u16::from_be_bytes([
-        fixture("demo.flac")[8],
-        fixture("demo.flac")[9],
-    ]));
+    let block = usize::from(u16::from_be_bytes([fixture("demo.flac")[8], fixture("demo.flac")[9]]));
     // Inside the first frame; its header; the headers of several frames.
-    for damaged in [
-        start + 100..start + 140,
-        start..start + 40,
-        start..start + 20_000,
-    ] {
+    for damaged in [start + 100..start + 140, start..start + 40, start..start + 20_000] {
         let mut file = fixture("demo.flac");
         for byte in &mut file[damaged.clone()] {
             *byte ^= 0x55;
@@ -156,20 +139,10 @@ fn an_mp3_without_its_info_frame_is_read_to_its_end() {
     let file = fixture("demo.mp3");
     // The frame that holds the LAME tag is the first one; the next sync starts the music.
     let info = file.windows(4).position(|part| part == b"Info").unwrap();
-    let next = file[info..]
-        .windows(2)
-        .position(|part| part == [0xff, 0xfb]);
+    let next = file[info..].windows(2).position(|part| part == [0xff, 0xfb]);
     let song = decode(file[info + next.unwrap()..].to_vec(), &[LOW]).unwrap();
-    assert!(
-        song.duration_s > 30.0 && song.duration_s < 30.1,
-        "{}",
-        song.duration_s
-    );
-    assert!(
-        song.warnings
-            .iter()
-            .any(|warning| warning.contains("encoder delay"))
-    );
+    assert!(song.duration_s > 30.0 && song.duration_s < 30.1, "{}", song.duration_s);
+    assert!(song.warnings.iter().any(|warning| warning.contains("encoder delay")));
 }
 
 fn mutants() -> impl Strategy<Value = (usize, Vec<(prop::sample::Index, u8)>, f64)> {
@@ -227,16 +200,11 @@ fn a_wav_from_a_pipe_states_no_length_and_is_whole() {
 #[test]
 fn an_ogg_cut_between_two_pages_is_said_to_be_cut() {
     let file = fixture("demo.ogg");
-    let pages: Vec<usize> = (0..file.len() - 4)
-        .filter(|&at| file[at..].starts_with(b"OggS"))
-        .collect();
+    let pages: Vec<usize> =
+        (0..file.len() - 4).filter(|&at| file[at..].starts_with(b"OggS")).collect();
     let cut = decode(file[..pages[pages.len() / 2]].to_vec(), &[LOW]).unwrap();
     println!("{} s, {:?}", cut.duration_s, cut.warnings);
-    assert!(
-        cut.warnings
-            .iter()
-            .any(|warning| warning.contains("cut short"))
-    );
+    assert!(cut.warnings.iter().any(|warning| warning.contains("cut short")));
 }
 
 #[test]
@@ -249,9 +217,5 @@ fn joined_files_lose_no_music() {
     let ogg = decode(twice("demo.ogg"), &[LOW]).unwrap();
     println!("{} s, {:?}", ogg.duration_s, ogg.warnings);
     assert_eq!(ogg.duration_s, 30.0);
-    assert!(
-        ogg.warnings
-            .iter()
-            .any(|warning| warning.contains("first of several"))
-    );
+    assert!(ogg.warnings.iter().any(|warning| warning.contains("first of several")));
 }

@@ -4,10 +4,7 @@ use super::*;
 
 #[test]
 fn length() {
-    let limits = AudioLimits {
-        max_seconds: 2.0,
-        ..AudioLimits::default()
-    };
+    let limits = AudioLimits { max_seconds: 2.0, ..AudioLimits::default() };
     let decode = |frames| {
         let bytes = Bytes::from(wav16(1, 8_000, &tone(frames, 8_000)));
         let cancel = CancelToken::new();
@@ -35,12 +32,7 @@ fn sample_rate() {
             "{error}"
         );
     }
-    let silent = |rate| SilentFlac {
-        rate,
-        channels: 1,
-        frames: 100_000,
-        declared: 100_000,
-    };
+    let silent = |rate| SilentFlac { rate, channels: 1, frames: 100_000, declared: 100_000 };
     for rate in [0, 4_000, 600_000] {
         let error = refusal(silent(rate).bytes());
         assert!(matches!(error, AudioError::SampleRate { .. }), "{error}");
@@ -68,10 +60,7 @@ fn channels() {
 #[test]
 fn wall_time_and_cancellation() {
     let song = Bytes::from(fixture("demo.mp3"));
-    let limits = AudioLimits {
-        max_decode_time: Duration::ZERO,
-        ..AudioLimits::default()
-    };
+    let limits = AudioLimits { max_decode_time: Duration::ZERO, ..AudioLimits::default() };
     let range = AudioRange::default();
     let late = audio::decode(song.clone(), range, &[LOW], &limits, &CancelToken::new());
     assert!(matches!(late, Err(AudioError::DecodeTimeout { .. })));

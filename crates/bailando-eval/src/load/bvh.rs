@@ -45,9 +45,7 @@ pub(super) fn read(text: &str) -> Result<Array3<f32>, String> {
     let channels = joints.iter().map(|joint| joint.channels.len()).sum();
     if channels == 0 || frames.checked_mul(channels) != Some(values.len()) {
         let found = values.len();
-        return Err(format!(
-            "{found} numbers are not {frames} frames of {channels} channels"
-        ));
+        return Err(format!("{found} numbers are not {frames} frames of {channels} channels"));
     }
     let mut positions = Array3::zeros((frames, JOINTS, 3));
     for (frame, values) in values.chunks_exact(channels).enumerate() {
@@ -96,9 +94,7 @@ fn hierarchy(words: &mut SplitWhitespace<'_>) -> Result<Vec<Joint>, String> {
                 let moves = channels.iter().any(|c| matches!(c, Channel::Position(_)));
                 if moves && joint.parent.is_some() {
                     let name = &joint.name;
-                    return Err(format!(
-                        "joint {name} has position channels: only the root may"
-                    ));
+                    return Err(format!("joint {name} has position channels: only the root may"));
                 }
                 joint.channels = channels;
             }
@@ -166,10 +162,9 @@ fn pose(joints: &[Joint], values: &[f64]) -> Vec<DVec3> {
         }
         let (place, turn) = match joint.parent {
             None => (shift, local),
-            Some(parent) => (
-                places[parent] + turned[parent] * joint.offset,
-                turned[parent] * local,
-            ),
+            Some(parent) => {
+                (places[parent] + turned[parent] * joint.offset, turned[parent] * local)
+            }
         };
         places.push(place);
         turned.push(turn);
@@ -219,13 +214,7 @@ mod tests {
     fn file(unit: f64, frame_time: f64, root: [&str; 2]) -> String {
         let mut text = String::from("HIERARCHY\nROOT pelvis\n{\nOFFSET 0 0 0\n");
         text.push_str("CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation\n");
-        for name in JOINT_NAMES
-            .split_whitespace()
-            .skip(1)
-            .collect::<Vec<_>>()
-            .iter()
-            .rev()
-        {
+        for name in JOINT_NAMES.split_whitespace().skip(1).collect::<Vec<_>>().iter().rev() {
             writeln!(text, "JOINT {name} {{ OFFSET {unit} 0 0").unwrap();
             text.push_str("CHANNELS 3 Yrotation Xrotation Zrotation\n");
             writeln!(text, "End Site {{ OFFSET 0 {unit} 0 }} }}").unwrap();
@@ -271,22 +260,10 @@ mod tests {
             (file(1.0, 1.0 / 30.0, [STILL; 2]), "frames a second"),
             (file(1.0, SIXTIETH, [STILL, "0 0 0 0 0"]), "149 numbers"),
             (with("l_hand", "paw"), "no joint l_hand"),
-            (
-                with("CHANNELS 3 Yrotation", "CHANNELS 3 Yposition"),
-                "only the root",
-            ),
-            (
-                with("CHANNELS 3 Yrotation", "CHANNELS 3 Wrotation"),
-                "Wrotation",
-            ),
-            (
-                with("Frames: 2", "Frames: 99999999999999999999"),
-                "no number",
-            ),
-            (
-                with("Frames: 2", "Frames: 18446744073709551615"),
-                "150 numbers",
-            ),
+            (with("CHANNELS 3 Yrotation", "CHANNELS 3 Yposition"), "only the root"),
+            (with("CHANNELS 3 Yrotation", "CHANNELS 3 Wrotation"), "Wrotation"),
+            (with("Frames: 2", "Frames: 99999999999999999999"), "no number"),
+            (with("Frames: 2", "Frames: 18446744073709551615"), "150 numbers"),
             ("HIERARCHY }".into(), "closes nothing"),
             ("HIERARCHY CHANNELS 0".into(), "without a joint"),
             (String::new(), "too early"),

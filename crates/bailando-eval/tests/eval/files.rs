@@ -24,8 +24,7 @@ fn apart(motion: &Motion, positions: &Positions) -> f64 {
     };
     let frames = 0..motion.poses().len();
     let all = frames.flat_map(|frame| (0..24).map(move |joint| (frame, joint)));
-    all.map(|(frame, joint)| distance(frame, joint))
-        .fold(0.0, f64::max)
+    all.map(|(frame, joint)| distance(frame, joint)).fold(0.0, f64::max)
 }
 
 /// Copies of the demo song with some names, in a folder inside another.
@@ -49,10 +48,7 @@ fn every_format_of_a_dance_is_read() {
         load_motion(&path).unwrap()
     };
     for encoding in [Encoding::Json, Encoding::Base64] {
-        let options = JsonOptions {
-            encoding,
-            ..JsonOptions::default()
-        };
+        let options = JsonOptions { encoding, ..JsonOptions::default() };
         let motion = read("dance.json", to_json(&dance, &options).unwrap());
         assert!(apart(&motion, &dance.positions) < 2e-6, "{encoding:?}");
         let codes = [dance.codes.upper.clone(), dance.codes.lower.clone()];
@@ -74,10 +70,8 @@ fn every_format_of_a_dance_is_read() {
 fn beats_are_found_in_audio_files() {
     let (folder, reference, generated) = folders();
     let songs = songs(folder.path(), (0..6).map(|at| format!("song{at}")));
-    let audio = EvaluationOptions {
-        beats: BeatsFrom::Audio(songs),
-        ..options(&generated, &reference)
-    };
+    let audio =
+        EvaluationOptions { beats: BeatsFrom::Audio(songs), ..options(&generated, &reference) };
     let report = evaluate(&audio).unwrap();
     let source = "column 53 of the audio's features";
     assert_eq!(report.protocol.beats, Some(source));

@@ -20,10 +20,7 @@ fn folders() -> Option<(PathBuf, PathBuf)> {
 
 fn golden_rows(golden: &Path, suffix: &str, motions: &[Motion]) {
     let features = FeatureRows::new(motions, Clips::default(), KineticForm::Published);
-    for (name, got) in [
-        ("kinetic", features.kinetic),
-        ("geometric", features.geometric),
-    ] {
+    for (name, got) in [("kinetic", features.kinetic), ("geometric", features.geometric)] {
         let expected: Array2<f32> = rows(&golden.join(format!("{name}{suffix}.npy")));
         assert_eq!(got.dim(), expected.dim(), "{name}{suffix}");
         for ((at, &got), &expected) in got.indexed_iter().zip(&expected) {
@@ -48,10 +45,8 @@ fn features_are_golden() {
     };
     let ids = json(&golden.join("ids.json"));
     golden_rows(&golden, "", &ballroom(&data, &ids["reference"]));
-    let backwards: Vec<Motion> = ballroom(&data, &ids["reversed"])
-        .iter()
-        .map(|motion| reversed(motion).0)
-        .collect();
+    let backwards: Vec<Motion> =
+        ballroom(&data, &ids["reversed"]).iter().map(|motion| reversed(motion).0).collect();
     golden_rows(&golden, "_reversed", &backwards);
 }
 
@@ -86,10 +81,7 @@ fn distances_are_golden() {
         std::fs::copy(data.join(&name), whole.join(&name)).unwrap();
     }
     let report = evaluate(&options(&whole, &data)).unwrap();
-    for (metric, key) in [
-        (Metric::DivK, "reference_div_k"),
-        (Metric::DivG, "reference_div_g"),
-    ] {
+    for (metric, key) in [(Metric::DivK, "reference_div_k"), (Metric::DivG, "reference_div_g")] {
         let expected = expected[key].as_f64().unwrap();
         close(report.generated.get(metric).unwrap(), expected, 1e-3, key);
     }
@@ -130,10 +122,7 @@ fn salsa(generated: &Path) -> Option<Report> {
     let salsa = EvaluationOptions {
         split: Some("test".into()),
         beats: BeatsFrom::File(data.join("test_beats.json")),
-        clips: Clips::Windows {
-            length: 300,
-            stride: 150,
-        },
+        clips: Clips::Windows { length: 300, stride: 150 },
         ..options(generated, &data)
     };
     Some(evaluate(&salsa).unwrap())

@@ -12,10 +12,7 @@ const GOLDEN_FRAMES: usize = 1_200;
 
 pub(crate) fn close(got: f64, expected: f64, relative: f64, what: &str) {
     let error = (got - expected).abs();
-    assert!(
-        error <= relative * expected.abs(),
-        "{what}: {got}, expected {expected}"
-    );
+    assert!(error <= relative * expected.abs(), "{what}: {got}, expected {expected}");
 }
 
 pub(crate) fn json(path: &Path) -> serde_json::Value {
@@ -37,10 +34,7 @@ pub(crate) fn reversed(motion: &Motion) -> (Motion, Array3<f32>) {
     let positions = Array3::from_shape_fn((poses.len(), 24, 3), |(frame, joint, axis)| {
         poses[frame][joint][axis] as f32
     });
-    (
-        Motion::new(motion.name(), positions.view()).unwrap(),
-        positions,
-    )
+    (Motion::new(motion.name(), positions.view()).unwrap(), positions)
 }
 
 /// The published protocol between two folders.

@@ -14,19 +14,13 @@ pub(crate) struct Tolerance {
 
 impl Tolerance {
     pub(crate) fn absolute(absolute: f64) -> Self {
-        Self {
-            absolute,
-            relative: 0.0,
-        }
+        Self { absolute, relative: 0.0 }
     }
 
     /// `atol` and `rtol` of an index; null, for the whole matrix, is exact and never used.
     pub(crate) fn of(about: &Value) -> Self {
         let number = |key: &str| about[key].as_f64().unwrap_or(0.0);
-        Self {
-            absolute: number("atol"),
-            relative: number("rtol"),
-        }
+        Self { absolute: number("atol"), relative: number("rtol") }
     }
 
     /// Error over the tolerance; above 1 is a failure.

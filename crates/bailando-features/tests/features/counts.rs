@@ -12,9 +12,8 @@ fn difference(phase: &BeatPhase, grid_s: &[f64], period: f64) -> (f64, f64) {
         .iter()
         .enumerate()
         .map(|(count, &second)| TAU * (phase.at(second) - count as f64) / period);
-    let (sine, cosine) = angles.fold((0.0, 0.0), |(sine, cosine), angle| {
-        (sine + angle.sin(), cosine + angle.cos())
-    });
+    let (sine, cosine) =
+        angles.fold((0.0, 0.0), |(sine, cosine), angle| (sine + angle.sin(), cosine + angle.cos()));
     let turns = sine.atan2(cosine) / TAU;
     (turns * period, sine.hypot(cosine) / grid_s.len() as f64)
 }

@@ -16,9 +16,7 @@ pub(crate) struct GoldenSet {
 
 impl GoldenSet {
     pub(crate) fn read(root: &Path) -> Self {
-        Self {
-            index: bailando_testkit::read_json(&root.join("index.json")),
-        }
+        Self { index: bailando_testkit::read_json(&root.join("index.json")) }
     }
 
     /// Clips by name.

@@ -35,13 +35,7 @@ impl<'a> Clip<'a> {
         let pcm = load_vector(&folder.join(name).join("pcm.npy"));
         let mut extractor = FeatureExtractor::new(rate_of(about), profile);
         let stages = extractor.extract_stages(&pcm).unwrap();
-        Self {
-            name,
-            about,
-            pcm,
-            extractor,
-            stages,
-        }
+        Self { name, about, pcm, extractor, stages }
     }
 
     /// Compares one stage with its file.
@@ -90,15 +84,9 @@ impl<'a> Clip<'a> {
         // Exact: tunings are multiples of 0.01, and reading them from JSON may cost the last bit.
         let tuning = about["tuning"].as_f64().unwrap();
         let got = stages.tuning;
-        assert!(
-            (got - tuning).abs() < 1e-12,
-            "{name}: tuning {got}, {tuning}"
-        );
+        assert!((got - tuning).abs() < 1e-12, "{name}: tuning {got}, {tuning}");
         let (got, tempo) = (stages.beats.tempo_bpm, about[tempo].as_f64().unwrap());
-        assert!(
-            (got - tempo).abs() <= 1e-5 * tempo,
-            "{name}: tempo {got}, {tempo}"
-        );
+        assert!((got - tempo).abs() <= 1e-5 * tempo, "{name}: tempo {got}, {tempo}");
         let expected: Vec<usize> = serde_json::from_value(about[beats].clone()).unwrap();
         assert_eq!(stages.beats.frames, expected, "{name}: beats");
 
@@ -236,12 +224,7 @@ fn golden_beats_of_whole_songs() {
         let tempo = f64::from(load_as_f32(&folder.join("tempo.npy"))[0]);
         let tempo_of_older = song_of_older["tempo_bpm"].as_f64().unwrap();
         for (profile, about, file, tempo) in [
-            (
-                Profile::Librosa011,
-                song,
-                folder.join("beat_frames.npy"),
-                tempo,
-            ),
+            (Profile::Librosa011, song, folder.join("beat_frames.npy"), tempo),
             (Profile::Librosa081, song_of_older, file, tempo_of_older),
         ] {
             let frames = load::<i32, ndarray::Ix1>(&file);

@@ -103,11 +103,7 @@ fn read_hierarchy(text: &str, metre: f64) -> Hierarchy {
 
 fn read_bvh(text: &str, metre: f64) -> ReadBvh {
     let (hierarchy, motion) = text.split_once("MOTION\n").unwrap();
-    let Hierarchy {
-        names,
-        parents,
-        offsets,
-    } = read_hierarchy(hierarchy, metre);
+    let Hierarchy { names, parents, offsets } = read_hierarchy(hierarchy, metre);
     let mut lines = motion.lines();
     let frames = lines.next().unwrap().strip_prefix("Frames: ").unwrap();
     let time = lines.next().unwrap().strip_prefix("Frame Time: ").unwrap();

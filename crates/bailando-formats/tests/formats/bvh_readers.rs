@@ -16,12 +16,8 @@ use serde::Deserialize;
 use crate::motion;
 
 /// Pinned: the versions this test was seen to pass with.
-const PACKAGES: [&str; 4] = [
-    "bvhio==1.5.4",
-    "spatial-transform==1.3.3",
-    "PyGLM==2.8.2",
-    "numpy==2.4.6",
-];
+const PACKAGES: [&str; 4] =
+    ["bvhio==1.5.4", "spatial-transform==1.3.3", "PyGLM==2.8.2", "numpy==2.4.6"];
 /// Longest wait for the environment; an unreachable index must not hold up the tests.
 const INSTALL_LIMIT: Duration = Duration::from_secs(120);
 /// A millimetre: a rigger would not see it.
@@ -40,10 +36,7 @@ fn an_independent_parser_sees_our_positions() {
     check(&python, "metres", &motion(20), BvhUnit::Metre);
     if let Some(folder) = bailando_testkit::shared("data/salsa") {
         let (_, recording) = recordings(&folder).swap_remove(0);
-        let options = FinishOptions {
-            fps: 30,
-            ..FinishOptions::default()
-        };
+        let options = FinishOptions { fps: 30, ..FinishOptions::default() };
         let motion = dance_of(&decoded_from(&recording), &options);
         check(&python, "recording", &motion, BvhUnit::Centimetre);
     }
@@ -61,11 +54,7 @@ fn check(python: &Path, name: &str, motion: &GeneratedMotion, unit: BvhUnit) {
     let file = folder.path().join("dance.bvh");
     std::fs::write(&file, to_bvh(motion, unit).unwrap()).unwrap();
     let script = bailando_testkit::project("tests/python/read_bvh.py");
-    let read = Command::new(python)
-        .arg(script)
-        .arg(&file)
-        .output()
-        .unwrap();
+    let read = Command::new(python).arg(script).arg(&file).output().unwrap();
     let errors = String::from_utf8_lossy(&read.stderr);
     assert!(read.status.success(), "{name}: {errors}");
     let seen: Seen = serde_json::from_slice(&read.stdout).unwrap();
@@ -103,11 +92,7 @@ fn environment() -> Result<PathBuf, String> {
     let install = "-m pip install --quiet --disable-pip-version-check --retries 1 --timeout 10";
     let arguments: Vec<&str> = install.split(' ').chain(PACKAGES).collect();
     run(&python, &arguments)?;
-    if works(&python) {
-        Ok(python)
-    } else {
-        Err("it was installed but can't be imported".into())
-    }
+    if works(&python) { Ok(python) } else { Err("it was installed but can't be imported".into()) }
 }
 
 /// Runs a program quietly, for no longer than [`INSTALL_LIMIT`].

@@ -19,10 +19,7 @@ use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::Value;
 
 fn motion(fps: u32) -> GeneratedMotion {
-    let options = FinishOptions {
-        fps,
-        ..FinishOptions::default()
-    };
+    let options = FinishOptions { fps, ..FinishOptions::default() };
     dance_of(&fixture("decode_raw.npy"), &options)
 }
 
@@ -36,10 +33,7 @@ fn json(motion: &GeneratedMotion, options: JsonOptions) -> Value {
     serde_json::from_slice(&to_json(motion, &options).unwrap()).unwrap()
 }
 
-const WITH_ROTATIONS: JsonOptions = JsonOptions {
-    rotations: true,
-    encoding: Encoding::Json,
-};
+const WITH_ROTATIONS: JsonOptions = JsonOptions { rotations: true, encoding: Encoding::Json };
 
 #[test]
 fn json_has_the_documented_shape() {
@@ -115,10 +109,7 @@ fn json_numbers_are_the_motions_to_a_micrometre() {
 #[test]
 fn base64_holds_the_same_numbers_exactly() {
     let motion = motion(30);
-    let options = JsonOptions {
-        rotations: true,
-        encoding: Encoding::Base64,
-    };
+    let options = JsonOptions { rotations: true, encoding: Encoding::Base64 };
     let value = json(&motion, options);
     assert_eq!(value["encoding"], "base64");
     assert_eq!(value["positions_source"], "forward_kinematics");
@@ -147,10 +138,7 @@ fn motions_that_contradict_themselves_are_refused() {
         for format in OutputFormat::ALL {
             let written = format.write(&motion, &JsonOptions::default(), BvhUnit::default());
             let error = written.unwrap_err().to_string();
-            assert!(
-                error.contains(expected),
-                "{error:?} should say {expected:?}"
-            );
+            assert!(error.contains(expected), "{error:?} should say {expected:?}");
         }
     }
 }

@@ -41,10 +41,7 @@ pub(crate) fn tensor(dims: &[u64], values: &[f32]) -> Vec<u8> {
     let mut tensor: Vec<u8> = dims.iter().flat_map(|&dim| number(1, dim)).collect();
     tensor.extend(number(2, 1));
     tensor.extend(bytes(8, b"weight"));
-    let raw: Vec<u8> = values
-        .iter()
-        .flat_map(|value| value.to_le_bytes())
-        .collect();
+    let raw: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
     tensor.extend(bytes(9, &raw));
     tensor
 }
@@ -58,10 +55,7 @@ fn value(name: &str) -> Vec<u8> {
 
 /// A `NodeProto`; `rest` are further fields.
 fn node(operator: &str, inputs: &[&str], output: &str, rest: &[u8]) -> Vec<u8> {
-    let mut node: Vec<u8> = inputs
-        .iter()
-        .flat_map(|name| bytes(1, name.as_bytes()))
-        .collect();
+    let mut node: Vec<u8> = inputs.iter().flat_map(|name| bytes(1, name.as_bytes())).collect();
     node.extend(bytes(2, output.as_bytes()));
     node.extend(bytes(4, operator.as_bytes()));
     node.extend(rest);

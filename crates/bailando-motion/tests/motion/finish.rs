@@ -14,10 +14,7 @@ use crate::{assert_continuous_unit_quaternions, assert_near, posed, swinging};
 const GOLDEN_TOLERANCE: f32 = 2e-5;
 
 fn at(fps: u32) -> FinishOptions {
-    FinishOptions {
-        fps,
-        ..FinishOptions::default()
-    }
+    FinishOptions { fps, ..FinishOptions::default() }
 }
 
 fn try_finish(decoded: &Array2<f32>, options: &FinishOptions) -> Result<Finished, MotionError> {
@@ -94,10 +91,7 @@ fn at_other_rates_positions_are_those_of_the_rotations() {
 fn without_root_motion_the_dancer_stays_in_place_at_the_same_height() {
     let decoded = decoded_swinging(300, 0.0);
     let travels = finish(&decoded, &at(60));
-    let options = FinishOptions {
-        root_motion: false,
-        ..FinishOptions::default()
-    };
+    let options = FinishOptions { root_motion: false, ..FinishOptions::default() };
     let stays = finish(&decoded, &options);
     for (a, b) in stays.animation.root.iter().zip(&travels.animation.root) {
         assert_eq!(*a, Vec3::Y * b.y);
@@ -156,9 +150,7 @@ fn drifting_recordings_are_put_back_on_the_floor() {
         ("none", |_| 0.0),
         ("sinking", |s| -0.06 * s),
         ("swaying", |s| 0.25 * (0.45 * s).sin()),
-        ("wandering", |s| {
-            0.1 * (0.7 * s).sin() + 0.15 * (0.31 * s).cos() + 0.02 * s
-        }),
+        ("wandering", |s| 0.1 * (0.7 * s).sin() + 0.15 * (0.31 * s).cos() + 0.02 * s),
     ];
     for (index, (path, mut positions)) in recordings(&folder).into_iter().enumerate().step_by(3) {
         let (name, drift) = drifts[index / 3 % drifts.len()];
@@ -183,10 +175,8 @@ fn in_pieces(decoded: &Array2<f32>, options: &FinishOptions, piece: usize) -> Fi
     let source = done[0].source;
     let parts: Vec<_> = done.iter().map(|part| part.positions.view()).collect();
     let positions = ndarray::concatenate(Axis(0), &parts).unwrap();
-    let (roots, rotations): (Vec<_>, Vec<_>) = done
-        .into_iter()
-        .map(|part| (part.animation.root, part.animation.rotations))
-        .unzip();
+    let (roots, rotations): (Vec<_>, Vec<_>) =
+        done.into_iter().map(|part| (part.animation.root, part.animation.rotations)).unzip();
     Finished {
         positions,
         animation: Animation {

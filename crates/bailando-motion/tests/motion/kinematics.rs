@@ -39,10 +39,7 @@ fn rest_pose_heads_for_z_with_left_at_positive_x() {
 #[test]
 fn a_quarter_turn_takes_the_left_hand_to_the_back() {
     // Right-handed, y up: turning by +90 degrees about y takes +x to -z.
-    let turned = posed(&still(
-        1,
-        Quat::from_rotation_y(std::f32::consts::FRAC_PI_2),
-    ));
+    let turned = posed(&still(1, Quat::from_rotation_y(std::f32::consts::FRAC_PI_2)));
     assert!(turned[[0, 22, 2]] < -0.7 && turned[[0, 22, 0]].abs() < 0.2);
     assert!(turned[[0, 10, 0]] > 0.05, "and the toes to +x");
 }

@@ -28,9 +28,7 @@ fn swinging(frames: usize, fps: u32) -> Animation {
     let rotation = |frame, joint| Quat::from_axis_angle(axis(joint), angle(joint, frame));
     Animation {
         fps,
-        root: (0..frames)
-            .map(|f| Vec3::new(0.01 * f as f32, 0.9, -0.3))
-            .collect(),
+        root: (0..frames).map(|f| Vec3::new(0.01 * f as f32, 0.9, -0.3)).collect(),
         rotations: (0..frames)
             .map(|frame| (0..24).map(|joint| rotation(frame, joint)).collect())
             .collect(),
@@ -41,11 +39,7 @@ fn swinging(frames: usize, fps: u32) -> Animation {
 fn still(frames: usize, root: Quat) -> Animation {
     let mut pose = vec![Quat::IDENTITY; 24];
     pose[0] = root;
-    Animation {
-        fps: 60,
-        root: vec![Vec3::ZERO; frames],
-        rotations: vec![pose; frames],
-    }
+    Animation { fps: 60, root: vec![Vec3::ZERO; frames], rotations: vec![pose; frames] }
 }
 
 fn posed(animation: &Animation) -> Positions {

@@ -36,12 +36,7 @@ pub(super) async fn live(
         done = run(&state, &mut order, &job) => done,
         () = state.lifecycle.aborted() => Err(state.draining()),
     };
-    let Order {
-        options,
-        shape,
-        waiting,
-        ..
-    } = order;
+    let Order { options, shape, waiting, .. } = order;
     job.turn(match done {
         Ok(dance) => JobState::Done(Arc::new(Finished {
             dance: Arc::new(dance),
@@ -128,10 +123,7 @@ mod tests {
 
     #[tokio::test]
     async fn nothing_is_left_of_a_job_that_made_room() {
-        let limits = Limits {
-            max_jobs: NonZeroUsize::MIN,
-            ..Limits::default()
-        };
+        let limits = Limits { max_jobs: NonZeroUsize::MIN, ..Limits::default() };
         let state = ServerState::loading(limits, SharedMetrics::default());
         let first = job(&state);
         state.jobs.put(Arc::clone(&first)).unwrap();
@@ -154,18 +146,11 @@ mod tests {
     #[tokio::test]
     async fn a_fetched_job_is_kept_for_the_rest_of_its_time_and_no_longer() {
         let time = Duration::from_secs(1);
-        let limits = Limits {
-            job_ttl: Seconds(time),
-            ..Limits::default()
-        };
+        let limits = Limits { job_ttl: Seconds(time), ..Limits::default() };
         let state = ServerState::loading(limits, SharedMetrics::default());
         let job = job(&state);
         let started = Instant::now();
-        let kept = keep(
-            Arc::clone(&state),
-            Arc::clone(&job),
-            state.lifecycle.go_on(),
-        );
+        let kept = keep(Arc::clone(&state), Arc::clone(&job), state.lifecycle.go_on());
         let fetch = async {
             tokio::time::sleep(time * 9 / 10).await;
             job.fetched.cancel();

@@ -110,12 +110,7 @@ pub(crate) async fn create(
     let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
     let order = intake::receive(&state, Purpose::Job, parts, body);
     let order = state.in_time(order).await?;
-    let job = Job::new(
-        client,
-        id,
-        Arc::clone(&order.tracker),
-        Arc::clone(&state.metrics),
-    );
+    let job = Job::new(client, id, Arc::clone(&order.tracker), Arc::clone(&state.metrics));
     if let Err(full) = state.jobs.put(Arc::clone(&job)) {
         order.waiting.answered();
         return Err(full);
@@ -238,14 +233,9 @@ fn find(
     client: Client,
     id: Result<Path<String>, PathRejection>,
 ) -> Result<Arc<Job>, ServerError> {
-    let Path(id) = id.map_err(|_| ServerError::NoJob {
-        id: "of this name".to_owned(),
-    })?;
+    let Path(id) = id.map_err(|_| ServerError::NoJob { id: "of this name".to_owned() })?;
     let none = || ServerError::NoJob { id: shorten(&id) };
-    let job = Uuid::try_parse(&id)
-        .ok()
-        .and_then(|id| state.jobs.get(id))
-        .ok_or_else(none)?;
+    let job = Uuid::try_parse(&id).ok().and_then(|id| state.jobs.get(id)).ok_or_else(none)?;
     match job.owner {
         Client::Key(_) if job.owner != client => Err(none()),
         _ => Ok(job),

@@ -95,12 +95,7 @@ async fn open(
 ) -> Result<Opened, ServerError> {
     let mut order = intake::receive(state, Purpose::Stream, parts, body).await?;
     match begin(state, &mut order, until).await {
-        Ok((opening, events, room)) => Ok(Opened {
-            order,
-            opening,
-            events,
-            room,
-        }),
+        Ok((opening, events, room)) => Ok(Opened { order, opening, events, room }),
         Err(error) => {
             order.waiting.answered();
             Err(error)
@@ -118,22 +113,11 @@ async fn begin(
     let permit = state.resources.admission.admit().await?;
     let waited = permit.waited;
     let (request, work) = order.begin(state, permit).await?;
-    let room = state
-        .resources
-        .reserve_response(most_bytes(state, order))
-        .await?;
+    let room = state.resources.reserve_response(most_bytes(state, order)).await?;
     let (sender, mut events) = mpsc::unbounded_channel();
-    let stream = Arc::new(Forward {
-        waited,
-        sender: sender.clone(),
-    });
+    let stream = Arc::new(Forward { waited, sender: sender.clone() });
     let generation = order.engine.submit(request.streamed_to(stream));
-    let run = Run {
-        state: Arc::clone(state),
-        work,
-        sender,
-        until,
-    };
+    let run = Run { state: Arc::clone(state), work, sender, until };
     tokio::spawn(run.until_the_end(generation, waited).in_current_span());
     match events.recv().await {
         Some(Event::Opened(opening)) => Ok((*opening, events, room)),
@@ -157,12 +141,7 @@ impl Run {
     /// Sends the end as the last event. A generation that is out of time, that the server gives
     /// up, or that has no reader any more, is dropped and thereby cancelled at once.
     async fn until_the_end(self, generation: Generation, waited: Duration) {
-        let Self {
-            state,
-            work,
-            sender,
-            until,
-        } = self;
+        let Self { state, work, sender, until } = self;
         let finished = work::finished(&state.metrics, generation, work.tracker(), waited, "stream");
         let ended = tokio::select! {
             finished = tokio::time::timeout_at(until, finished) => match finished {

@@ -93,15 +93,8 @@ impl Sender {
         opened: Opened,
         under_way: impl Send + 'static,
     ) -> Result<Self, ServerError> {
-        let Opened {
-            order,
-            opening,
-            events,
-            room,
-        } = opened;
-        let writer = Writer {
-            lines: order.shape.lines,
-        };
+        let Opened { order, opening, events, room } = opened;
+        let writer = Writer { lines: order.shape.lines };
         let json = order.options.json();
         let start = start_event(&start_of(&opening), &json)?;
         Ok(Self {

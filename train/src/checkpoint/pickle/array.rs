@@ -73,17 +73,12 @@ impl NumpyArray {
             Number::F32 | Number::I32 => 4,
             Number::F64 | Number::I64 => 8,
         };
-        let expected = self
-            .shape
-            .iter()
-            .try_fold(width, |product: usize, &size| product.checked_mul(size));
+        let expected =
+            self.shape.iter().try_fold(width, |product: usize, &size| product.checked_mul(size));
         if expected != Some(bytes.len()) {
             return Err("an array's shape does not fit its bytes");
         }
-        Ok(bytes
-            .chunks_exact(width)
-            .map(|chunk| self.dtype.value(chunk))
-            .collect())
+        Ok(bytes.chunks_exact(width).map(|chunk| self.dtype.value(chunk)).collect())
     }
 }
 

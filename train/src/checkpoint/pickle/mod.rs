@@ -68,11 +68,7 @@ fn run(mut machine: Machine<'_>) -> Result<Pickled, Problem> {
             return Err(machine.malformed("it holds far more than a few arrays"));
         }
         if let Some(root) = machine.step()? {
-            return Ok(Pickled {
-                arena: machine.arena,
-                root,
-                consumed: machine.reader.offset(),
-            });
+            return Ok(Pickled { arena: machine.arena, root, consumed: machine.reader.offset() });
         }
     }
 }

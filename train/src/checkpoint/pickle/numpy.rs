@@ -60,10 +60,7 @@ pub(super) fn ordered_dtype(
         Some(">") => true,
         _ => return Err("an array's byte order is unknown"),
     };
-    Ok(Object::Dtype(Dtype {
-        big_endian,
-        ..dtype
-    }))
+    Ok(Object::Dtype(Dtype { big_endian, ..dtype }))
 }
 
 fn dtype(arena: &Arena, code: Id) -> Result<Dtype, &'static str> {
@@ -91,12 +88,7 @@ fn array(
 ) -> Result<Object, &'static str> {
     match (arena.get(dtype), arena.get(raw)) {
         (Some(&Object::Dtype(dtype)), Some(Object::Raw(raw))) => {
-            Ok(Object::Array(Box::new(NumpyArray {
-                shape,
-                dtype,
-                fortran,
-                raw: raw.clone(),
-            })))
+            Ok(Object::Array(Box::new(NumpyArray { shape, dtype, fortran, raw: raw.clone() })))
         }
         _ => Err("an array lacks its type or its bytes"),
     }
@@ -108,8 +100,5 @@ fn sizes(arena: &Arena, id: Id) -> Result<Vec<usize>, &'static str> {
     if items.len() > MAX_DIMENSIONS {
         return Err(unfit);
     }
-    items
-        .iter()
-        .map(|&item| arena.size(item).ok_or(unfit))
-        .collect()
+    items.iter().map(|&item| arena.size(item).ok_or(unfit)).collect()
 }

@@ -21,10 +21,7 @@ impl<'a> Reader<'a> {
     }
 
     pub(super) fn malformed(&self, what: &'static str) -> Problem {
-        Problem::Pickle {
-            offset: self.offset,
-            what,
-        }
+        Problem::Pickle { offset: self.offset, what }
     }
 
     pub(super) fn take(&mut self, count: usize) -> Result<&'a [u8], Problem> {

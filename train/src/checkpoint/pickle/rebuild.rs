@@ -16,10 +16,7 @@ pub(super) fn storage(arena: &Arena, id: Id) -> Result<Storage, &'static str> {
         return Err("a persistent id is no storage");
     }
     // Views of storages were written by PyTorch before 0.4 alone.
-    if !view
-        .iter()
-        .all(|&view| arena.get(view) == Some(&Object::None))
-    {
+    if !view.iter().all(|&view| arena.get(view) == Some(&Object::None)) {
         return Err("a storage is a view of another one");
     }
     let Some(&Object::StorageClass(element)) = arena.get(class) else {
@@ -30,11 +27,7 @@ pub(super) fn storage(arena: &Arena, id: Id) -> Result<Storage, &'static str> {
         return Err("a storage's key is too long");
     }
     let values = arena.size(values).ok_or("a storage has no size")?;
-    Ok(Storage {
-        key: key.clone(),
-        element,
-        values,
-    })
+    Ok(Storage { key: key.clone(), element, values })
 }
 
 /// The tensor of `_rebuild_tensor_v2(storage, offset, shape, strides, requires_grad, hooks, ..)`.
@@ -51,12 +44,7 @@ pub(super) fn tensor(arena: &Arena, arguments: Id) -> Result<Box<TensorView>, &'
     if shape.len() != strides.len() {
         return Err("a tensor's shape and strides differ in length");
     }
-    Ok(Box::new(TensorView {
-        storage: storage.clone(),
-        offset,
-        shape,
-        strides,
-    }))
+    Ok(Box::new(TensorView { storage: storage.clone(), offset, shape, strides }))
 }
 
 /// The tensor inside `_rebuild_parameter(tensor, requires_grad, hooks)`.

@@ -53,10 +53,7 @@ fn a_parameter_is_its_tensor() {
 fn unknown_classes_are_inert_and_swallow_their_contents() {
     let easydict = b"ceasydict\nEasyDict\n)\x81(X\x01\x00\x00\x00aK\x01u}b.";
     assert_eq!(root(easydict), Object::Opaque);
-    assert_eq!(
-        root(b"cos\nsystem\n(X\x04\x00\x00\x00truetR."),
-        Object::Opaque
-    );
+    assert_eq!(root(b"cos\nsystem\n(X\x04\x00\x00\x00truetR."), Object::Opaque);
     assert_eq!(root(b"cbuiltins\nlist\n)R(K\x01K\x02e."), Object::Opaque);
 }
 

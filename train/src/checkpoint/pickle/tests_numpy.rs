@@ -36,10 +36,8 @@ fn an_array_is_read_in_either_byte_order() {
     let read = array(&whole(ARRAY));
     assert_eq!(read.shape, [2]);
     assert_eq!(read.values().unwrap(), [1.0, -2.0]);
-    let swapped = replaced(
-        b"\x00\x00\x80\x3f\x00\x00\x00\xc0",
-        b"\x3f\x80\x00\x00\xc0\x00\x00\x00",
-    );
+    let swapped =
+        replaced(b"\x00\x00\x80\x3f\x00\x00\x00\xc0", b"\x3f\x80\x00\x00\xc0\x00\x00\x00");
     let at = swapped.iter().position(|&byte| byte == b'<').unwrap();
     let mut swapped = swapped;
     swapped[at] = b'>';
@@ -84,10 +82,7 @@ fn calls_and_instances_of_anything_else_are_refused() {
 
 #[test]
 fn a_shape_that_does_not_fit_its_bytes_is_refused_before_anything_is_allocated() {
-    for (from, to) in [
-        (&b"K\x01K\x02\x85"[..], &b"K\x01K\xff\x85"[..]),
-        (b"f4", b"f8"),
-    ] {
+    for (from, to) in [(&b"K\x01K\x02\x85"[..], &b"K\x01K\xff\x85"[..]), (b"f4", b"f8")] {
         assert!(array(&whole(&replaced(from, to))).values().is_err());
     }
 }

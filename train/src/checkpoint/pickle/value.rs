@@ -183,10 +183,8 @@ impl Arena {
     /// The value beside the text key `key`; the last one wins, as in Python.
     pub(crate) fn lookup(&self, dict: Id, key: &str) -> Option<Id> {
         let entries = self.entries(dict)?;
-        let entry = entries
-            .iter()
-            .rev()
-            .find(|(k, _)| self.text(*k).is_some_and(|text| **text == *key));
+        let entry =
+            entries.iter().rev().find(|(k, _)| self.text(*k).is_some_and(|text| **text == *key));
         entry.map(|&(_, value)| value)
     }
 }

@@ -46,10 +46,9 @@ pub(super) fn fit(grid: &[f64], detected: &[f64]) -> Option<Fit> {
     let (mut sine, mut cosine, mut count) = (0.0, 0.0, 0_usize);
     for &time in detected {
         let next = grid.partition_point(|&beat| beat <= time);
-        let (Some(&before), Some(&after)) = (
-            next.checked_sub(1).and_then(|i| grid.get(i)),
-            grid.get(next),
-        ) else {
+        let (Some(&before), Some(&after)) =
+            (next.checked_sub(1).and_then(|i| grid.get(i)), grid.get(next))
+        else {
             continue;
         };
         let phase = (time - before) / (after - before).max(1e-9);

@@ -47,9 +47,8 @@ pub(super) struct MotionFacts {
 /// Measures a motion.
 pub(super) fn measure(positions: &Positions, skeleton: &Skeleton) -> MotionFacts {
     let frames = positions.dim().0;
-    let not_finite = positions
-        .outer_iter()
-        .position(|pose| pose.iter().any(|value| !value.is_finite()));
+    let not_finite =
+        positions.outer_iter().position(|pose| pose.iter().any(|value| !value.is_finite()));
     let mut facts = MotionFacts {
         frames,
         not_finite,
@@ -160,19 +159,12 @@ fn floor(positions: &Positions) -> f64 {
 }
 
 fn at(pose: ArrayView2<'_, f32>, joint: usize) -> Vector {
-    [0, 1, 2].map(|axis| {
-        pose.get((joint, axis))
-            .map_or(0.0, |&value| f64::from(value))
-    })
+    [0, 1, 2].map(|axis| pose.get((joint, axis)).map_or(0.0, |&value| f64::from(value)))
 }
 
 fn middle(pose: ArrayView2<'_, f32>, joints: [usize; 2]) -> Vector {
     let [a, b] = joints.map(|joint| at(pose, joint));
-    [
-        (a[0] + b[0]) / 2.0,
-        (a[1] + b[1]) / 2.0,
-        (a[2] + b[2]) / 2.0,
-    ]
+    [(a[0] + b[0]) / 2.0, (a[1] + b[1]) / 2.0, (a[2] + b[2]) / 2.0]
 }
 
 fn difference(a: Vector, b: Vector) -> Vector {
@@ -184,11 +176,7 @@ fn dot(a: Vector, b: Vector) -> f64 {
 }
 
 fn cross(a: Vector, b: Vector) -> Vector {
-    [
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    ]
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 fn length(vector: Vector) -> f64 {

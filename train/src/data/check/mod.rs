@@ -34,11 +34,7 @@ pub struct CheckOptions {
 
 impl Default for CheckOptions {
     fn default() -> Self {
-        Self {
-            open: OpenOptions::default(),
-            songs: None,
-            beats: 8,
-        }
+        Self { open: OpenOptions::default(), songs: None, beats: 8 }
     }
 }
 

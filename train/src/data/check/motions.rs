@@ -14,12 +14,8 @@ pub(super) const CROP: usize = 240;
 /// Sizes of people, against the skeleton: children to giants.
 const PERSON: std::ops::RangeInclusive<f64> = 0.6..=1.6;
 /// Units that data come in, and how many of them a metre has.
-const UNITS: [(&str, f64); 4] = [
-    ("centimetres", 100.0),
-    ("millimetres", 1_000.0),
-    ("inches", 39.37),
-    ("feet", 3.281),
-];
+const UNITS: [(&str, f64); 4] =
+    [("centimetres", 100.0), ("millimetres", 1_000.0), ("inches", 39.37), ("feet", 3.281)];
 /// Share of the body's direction that must be along y; dancers bend and roll.
 const UPRIGHT: f64 = 0.5;
 /// Bones of a motion-capture skeleton vary by less than that.
@@ -125,10 +121,7 @@ fn judge(facts: &MotionFacts, skeleton: &Skeleton, name: &str, findings: &mut Fi
     }
     if facts.swapped > 0.8 {
         let share = 100.0 * facts.swapped;
-        findings.add(
-            Topic::Sides,
-            format!("{name}: in {share:.0} % of the frames"),
-        );
+        findings.add(Topic::Sides, format!("{name}: in {share:.0} % of the frames"));
     }
     judge_bones(facts, skeleton, name, findings);
     judge_movement(facts, skeleton, name, findings);
@@ -139,19 +132,15 @@ fn judge_bones(facts: &MotionFacts, skeleton: &Skeleton, name: &str, findings: &
     if change > BONE_CHANGE {
         let percent = 100.0 * change;
         let joint = joint_name(skeleton, joint);
-        findings.add(
-            Topic::BonesVary,
-            format!("{name}: the bone to {joint} by up to {percent:.0} %"),
-        );
+        findings
+            .add(Topic::BonesVary, format!("{name}: the bone to {joint} by up to {percent:.0} %"));
     }
     let (difference, joint) = facts.bone_difference;
     if difference > BONE_DIFFERENCE {
         let joint = joint_name(skeleton, joint);
         let centimetres = 100.0 * difference;
-        findings.add(
-            Topic::BonesDiffer,
-            format!("{name}: the bone to {joint} by {centimetres:.1} cm"),
-        );
+        findings
+            .add(Topic::BonesDiffer, format!("{name}: the bone to {joint} by {centimetres:.1} cm"));
     }
 }
 
@@ -159,17 +148,11 @@ fn judge_movement(facts: &MotionFacts, skeleton: &Skeleton, name: &str, findings
     let (speed, frame, joint) = facts.fastest;
     if speed > JUMP {
         let joint = joint_name(skeleton, joint);
-        findings.add(
-            Topic::Jumps,
-            format!("{name}: {joint} at {speed:.0} m/s in frame {frame}"),
-        );
+        findings.add(Topic::Jumps, format!("{name}: {joint} at {speed:.0} m/s in frame {frame}"));
     }
     if facts.speed < STILL {
         let speed = 100.0 * facts.speed;
-        findings.add(
-            Topic::Still,
-            format!("{name}: joints move at {speed:.1} cm/s on average"),
-        );
+        findings.add(Topic::Still, format!("{name}: joints move at {speed:.1} cm/s on average"));
     }
     if !FLOOR.contains(&facts.floor) {
         let (height, side) = (100.0 * facts.floor.abs(), side(facts.floor));
@@ -187,9 +170,7 @@ fn joint_name(skeleton: &Skeleton, joint: usize) -> String {
 }
 
 fn unit(scale: f64) -> String {
-    let near = UNITS
-        .iter()
-        .find(|(_, per_metre)| PERSON.contains(&(scale / per_metre)));
+    let near = UNITS.iter().find(|(_, per_metre)| PERSON.contains(&(scale / per_metre)));
     match near {
         Some((name, per_metre)) => {
             let factor = 1.0 / per_metre;

@@ -123,14 +123,11 @@ fn check_length(
     // Elsewhere songs are whole and motions are parts of them.
     let cut_to_fit = dataset.layout == Layout::Folder;
     let rate = frames as f64 / seconds.max(1e-9);
-    let other = OTHER_RATES
-        .iter()
-        .find(|other| (rate / **other - 1.0).abs() < 0.01);
+    let other = OTHER_RATES.iter().find(|other| (rate / **other - 1.0).abs() < 0.01);
     match other {
-        Some(other) if cut_to_fit => findings.add(
-            Topic::FrameRate,
-            format!("{what}: {other} frames a second would fit"),
-        ),
+        Some(other) if cut_to_fit => {
+            findings.add(Topic::FrameRate, format!("{what}: {other} frames a second would fit"))
+        }
         _ if cut_to_fit || seconds < dance => findings.add(Topic::AudioLength, what),
         _ => {}
     }
@@ -148,10 +145,7 @@ fn check_grid(piece: &Piece, tracked: &[f64], name: &str, findings: &mut Finding
     let late = fit.late_s - DETECTOR_LATE_S;
     if fit.is_chance() {
         let together = fit.together;
-        findings.add(
-            Topic::Grid,
-            format!("{id} with {name}: agreement {together:.2} of 1"),
-        );
+        findings.add(Topic::Grid, format!("{id} with {name}: agreement {together:.2} of 1"));
     } else if late.abs() > GRID_TOLERANCE_S {
         let milliseconds = 1_000.0 * late.abs();
         let side = if late > 0.0 { "early" } else { "late" };

@@ -59,11 +59,7 @@ fn facts(path: &Path, extractor: Option<&mut FeatureExtractor>) -> Result<SongFa
     let bytes = files::read(path)?;
     let hash = file_sha256(&mut bytes.as_slice()).expect("reading from memory");
     // The low rate is enough for length and level, and eight times less work.
-    let rate = if extractor.is_some() {
-        Rate::Beats
-    } else {
-        Rate::Conditioning
-    };
+    let rate = if extractor.is_some() { Rate::Beats } else { Rate::Conditioning };
     let decoded = decoded(path, bytes, &[rate.hz()])?;
     let signal = decoded.signals.first().map_or(&[][..], Vec::as_slice);
     let power: f64 = signal.iter().map(|&x| f64::from(x) * f64::from(x)).sum();
@@ -72,10 +68,7 @@ fn facts(path: &Path, extractor: Option<&mut FeatureExtractor>) -> Result<SongFa
         Some(extractor) => {
             let beats = extractor
                 .beats(signal)
-                .map_err(|source| DataError::Features {
-                    path: path.to_owned(),
-                    source,
-                })?;
+                .map_err(|source| DataError::Features { path: path.to_owned(), source })?;
             let rows_per_second = rate.rows_per_second();
             let seconds = beats.frames.iter().map(|&row| row as f64 / rows_per_second);
             Some(seconds.collect())

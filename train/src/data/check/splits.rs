@@ -26,20 +26,10 @@ pub(super) fn check(
         })
     };
     if !usable(Split::Train) {
-        findings.add(
-            Topic::NoTraining,
-            format!("{} pieces looked at", dataset.pieces.len()),
-        );
+        findings.add(Topic::NoTraining, format!("{} pieces looked at", dataset.pieces.len()));
     }
-    if !dataset
-        .pieces
-        .iter()
-        .any(|piece| piece.split == Split::Test)
-    {
-        findings.add(
-            Topic::NoTest,
-            format!("{} pieces looked at", dataset.pieces.len()),
-        );
+    if !dataset.pieces.iter().any(|piece| piece.split == Split::Test) {
+        findings.add(Topic::NoTest, format!("{} pieces looked at", dataset.pieces.len()));
     }
     check_motions(dataset, findings);
     check_songs(dataset, tracked, findings);
@@ -58,11 +48,7 @@ fn check_motions(dataset: &Dataset, findings: &mut Findings) {
             hash.ok()
         });
         if let Some(hash) = hash {
-            note(
-                by_content.entry(hash.clone()).or_default(),
-                piece.split,
-                &piece.motion,
-            );
+            note(by_content.entry(hash.clone()).or_default(), piece.split, &piece.motion);
         }
     }
     for names in by_content.values() {
@@ -74,10 +60,7 @@ fn check_motions(dataset: &Dataset, findings: &mut Findings) {
 }
 
 fn note(names: &mut Names, split: Split, motion: &MotionSource) {
-    names
-        .entry(split)
-        .or_default()
-        .insert(file_name(motion.path()));
+    names.entry(split).or_default().insert(file_name(motion.path()));
 }
 
 fn check_songs(dataset: &Dataset, tracked: &Songs, findings: &mut Findings) {
@@ -87,10 +70,7 @@ fn check_songs(dataset: &Dataset, tracked: &Songs, findings: &mut Findings) {
             && let Some(Ok(song)) = tracked.get(path)
         {
             let names = by_content.entry(song.hash.as_str()).or_default();
-            names
-                .entry(piece.split)
-                .or_default()
-                .insert(file_name(path));
+            names.entry(piece.split).or_default().insert(file_name(path));
         }
     }
     for names in by_content.values() {
@@ -105,11 +85,7 @@ fn check_recordings(dataset: &Dataset, findings: &mut Findings) {
     let mut by_source: BTreeMap<&str, Names> = BTreeMap::new();
     for piece in &dataset.pieces {
         if let Some(source) = &piece.source {
-            note(
-                by_source.entry(source).or_default(),
-                piece.split,
-                &piece.motion,
-            );
+            note(by_source.entry(source).or_default(), piece.split, &piece.motion);
         }
     }
     for (source, names) in by_source {
@@ -119,10 +95,7 @@ fn check_recordings(dataset: &Dataset, findings: &mut Findings) {
         if let (Some(train), Some(test)) = (train, test)
             && train.is_disjoint(test)
         {
-            findings.add(
-                Topic::SharedRecording,
-                format!("{source}: {}", places(train, test)),
-            );
+            findings.add(Topic::SharedRecording, format!("{source}: {}", places(train, test)));
         }
     }
 }
@@ -157,9 +130,6 @@ fn places(train: &BTreeSet<String>, test: &BTreeSet<String>) -> String {
 fn copies(names: &Names, findings: &mut Findings) {
     for names in names.values().filter(|names| names.len() > 1) {
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        findings.add(
-            Topic::Duplicate,
-            format!("{}: the same content", names.join(", ")),
-        );
+        findings.add(Topic::Duplicate, format!("{}: the same content", names.join(", ")));
     }
 }

@@ -12,11 +12,8 @@ use crate::{
 };
 
 /// Options without songs, for the tests of motion.
-const WITHOUT_SONGS: CheckOptions = CheckOptions {
-    open: OpenOptions { audio: None },
-    songs: Some(0),
-    beats: 0,
-};
+const WITHOUT_SONGS: CheckOptions =
+    CheckOptions { open: OpenOptions { audio: None }, songs: Some(0), beats: 0 };
 
 fn good() -> TestFolder {
     TestFolder::good(&skeleton(0.93))
@@ -33,11 +30,7 @@ fn report(folder: &TestFolder, options: &CheckOptions) -> Report {
 /// The only finding, and its only place.
 #[track_caller]
 fn only(report: &Report, topic: Topic) -> String {
-    let topics: Vec<Topic> = report
-        .findings
-        .iter()
-        .map(|finding| finding.topic)
-        .collect();
+    let topics: Vec<Topic> = report.findings.iter().map(|finding| finding.topic).collect();
     assert_eq!(topics, [topic], "{report}");
     let places = &report.findings[0].places;
     assert_eq!(places.len(), 1, "{report}");
@@ -142,9 +135,7 @@ fn bones_must_keep_their_length_and_the_skeletons() {
 
 #[test]
 fn broken_numbers_and_jumps_are_found_with_their_frame() {
-    let place = spoiled(Topic::NotFinite, |positions| {
-        positions[[17, 3, 1]] = f32::NAN
-    });
+    let place = spoiled(Topic::NotFinite, |positions| positions[[17, 3, 1]] = f32::NAN);
     assert_eq!(place, "one.npy: first in frame 17");
     let place = spoiled(Topic::Jumps, |positions| {
         for mut pose in positions.outer_iter_mut().skip(200) {
@@ -197,11 +188,7 @@ fn lengths_must_agree() {
     let folder = good();
     folder.motion("two.npy", &dance(&skeleton(0.93), 200, 1));
     let report = report(&folder, &WITHOUT_SONGS);
-    let topics: Vec<_> = report
-        .findings
-        .iter()
-        .map(|finding| finding.topic)
-        .collect();
+    let topics: Vec<_> = report.findings.iter().map(|finding| finding.topic).collect();
     assert_eq!(topics, [Topic::DeclaredLength, Topic::Short]);
 }
 
@@ -214,10 +201,7 @@ fn missing_and_broken_files_are_named() {
     let folder = good();
     fs::write(folder.path("two.npy"), "not numbers").unwrap();
     let place = only(&report(&folder, &WITHOUT_SONGS), Topic::MotionFile);
-    assert!(
-        place.contains("two.npy: this is no whole .npy file"),
-        "{place}"
-    );
+    assert!(place.contains("two.npy: this is no whole .npy file"), "{place}");
     let folder = good();
     fs::write(folder.path("c.wav"), "not music").unwrap();
     let place = only(&report(&folder, &CheckOptions::default()), Topic::AudioFile);
@@ -262,10 +246,7 @@ fn leaks_and_duplicates_are_found_by_content() {
     let mut folder = good();
     folder.set("three_a", "audio", json!("a.wav"));
     folder.set("three_a", "grid_beats_s", json!([]));
-    let place = only(
-        &report(&folder, &CheckOptions::default()),
-        Topic::SharedSong,
-    );
+    let place = only(&report(&folder, &CheckOptions::default()), Topic::SharedSong);
     assert_eq!(place, "train: a.wav; test: a.wav");
     let mut folder = good();
     folder.set("one_a", "source", json!("take 5"));
@@ -278,10 +259,7 @@ fn leaks_and_duplicates_are_found_by_content() {
     assert!(place.contains("one_a and one_b"), "{place}");
     let mut folder = good();
     folder.set("two_a", "id", json!("one_a"));
-    assert_eq!(
-        only(&report(&folder, &WITHOUT_SONGS), Topic::DuplicateId),
-        "one_a: 2 times"
-    );
+    assert_eq!(only(&report(&folder, &WITHOUT_SONGS), Topic::DuplicateId), "one_a: 2 times");
 }
 
 #[test]
@@ -296,10 +274,7 @@ fn splits_must_not_be_empty() {
     only(&report(&folder, &WITHOUT_SONGS), Topic::NoTraining);
     let mut folder = good();
     folder.set("two_a", "audio", json!(null));
-    assert_eq!(
-        only(&report(&folder, &WITHOUT_SONGS), Topic::NoMusic),
-        "1 of 4 pieces"
-    );
+    assert_eq!(only(&report(&folder, &WITHOUT_SONGS), Topic::NoMusic), "1 of 4 pieces");
 }
 
 #[test]
@@ -322,19 +297,11 @@ fn the_references_files_are_checked_as_well() {
     };
     write("a.json", 300);
     let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
-    let topics: Vec<_> = report
-        .findings
-        .iter()
-        .map(|finding| finding.topic)
-        .collect();
+    let topics: Vec<_> = report.findings.iter().map(|finding| finding.topic).collect();
     assert_eq!(topics, [Topic::StoredRows, Topic::NoTest, Topic::Layout]);
     write("a.json", 37);
     let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
-    let topics: Vec<_> = report
-        .findings
-        .iter()
-        .map(|finding| finding.topic)
-        .collect();
+    let topics: Vec<_> = report.findings.iter().map(|finding| finding.topic).collect();
     assert_eq!(topics, [Topic::NoTest, Topic::Layout]);
     write("a.json", 150);
     let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
@@ -350,19 +317,9 @@ fn aist_motions_are_checked_as_well() {
         fs::copy(fixtures.join(name), folder.path().join(name)).unwrap();
     }
     let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
-    let topics: Vec<_> = report
-        .findings
-        .iter()
-        .map(|finding| finding.topic)
-        .collect();
-    assert!(
-        topics.contains(&Topic::Short) && topics.contains(&Topic::NoTraining),
-        "{report}"
-    );
+    let topics: Vec<_> = report.findings.iter().map(|finding| finding.topic).collect();
+    assert!(topics.contains(&Topic::Short) && topics.contains(&Topic::NoTraining), "{report}");
     assert_eq!(report.findings[0].topic, Topic::MotionFile);
-    assert!(
-        report.findings[0].places[0].contains("`posix.system`"),
-        "{report}"
-    );
+    assert!(report.findings[0].places[0].contains("`posix.system`"), "{report}");
     assert!(!report.is_usable());
 }

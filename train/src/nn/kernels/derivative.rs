@@ -30,21 +30,14 @@ impl<B: Kernels, C: CheckpointStrategy> Kernels for Autodiff<B, C> {
         );
         let nodes = [input.node, weight.node, bias.node];
         let ready = Convolve.prepare::<C>(nodes).compute_bound().stateful();
-        let state = Remembered {
-            plan,
-            input: input.primitive,
-            weight: weight.primitive,
-        };
+        let state = Remembered { plan, input: input.primitive, weight: weight.primitive };
         finished(ready, state, output)
     }
 
     fn activate(input: Tensor<Self, 3>) -> Tensor<Self, 3> {
         let input = input.into_primitive().tensor();
         let output = B::activate(wrap(input.primitive.clone()));
-        let ready = Activate
-            .prepare::<C>([input.node])
-            .compute_bound()
-            .stateful();
+        let ready = Activate.prepare::<C>([input.node]).compute_bound().stateful();
         finished(ready, input.primitive, output)
     }
 
@@ -233,11 +226,7 @@ impl<B: Kernels> Backward<B, 3> for Convolve {
         _checkpointer: &mut Checkpointer,
     ) {
         let outer = gradients.consume::<B>(&ops.node);
-        let Remembered {
-            plan,
-            input,
-            weight,
-        } = ops.state;
+        let Remembered { plan, input, weight } = ops.state;
         let found = B::convolve_backward(plan, wrap(input), wrap(weight), wrap(outer));
         let [input, weight, bias] = ops.parents.map(|parent| parent.map(|node| node.id));
         register::<B, 3>(gradients, input, found.input);

@@ -84,25 +84,14 @@ impl Convolution {
 
     /// The products that make a row of output.
     pub(super) fn products(self) -> Vec<Product> {
-        let whole = |frames: usize| Product {
-            frames: 0..frames,
-            taps: (0..frames).collect(),
-            output: 0,
-        };
+        let whole =
+            |frames: usize| Product { frames: 0..frames, taps: (0..frames).collect(), output: 0 };
         match self.kind {
             // Output `2i` is tap 3 of frame `i - 1` and tap 1 of frame `i`; output `2i + 1` is tap
             // 2 of frame `i` and tap 0 of frame `i + 1`.
             Kind::Doubling => vec![
-                Product {
-                    frames: 0..2,
-                    taps: vec![3, 1],
-                    output: 0,
-                },
-                Product {
-                    frames: 1..3,
-                    taps: vec![2, 0],
-                    output: 1,
-                },
+                Product { frames: 0..2, taps: vec![3, 1], output: 0 },
+                Product { frames: 1..3, taps: vec![2, 0], output: 1 },
             ],
             _ => vec![whole(self.frames())],
         }

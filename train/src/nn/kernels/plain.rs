@@ -39,9 +39,7 @@ pub(super) fn convolve_backward<B: Backend>(
     let (rows, outputs) = (batch * plan.rows(time), plan.outputs);
     let device = input.device();
     let lowered = lower(plan, input.clone());
-    let wide = outer
-        .clone()
-        .reshape([rows, plan.outputs_per_row() * outputs]);
+    let wide = outer.clone().reshape([rows, plan.outputs_per_row() * outputs]);
     let width = plan.frames() * channels;
     let mut by_lowered = Tensor::zeros([rows, width], &device);
     let mut by_kernel: Vec<Option<Tensor<B, 2>>> = vec![None; plan.kernel()];
@@ -62,11 +60,7 @@ pub(super) fn convolve_backward<B: Backend>(
             }
         }
     }
-    let by_input = raise(
-        plan,
-        by_lowered.reshape([batch, plan.rows(time), width]),
-        time,
-    );
+    let by_input = raise(plan, by_lowered.reshape([batch, plan.rows(time), width]), time);
     let by_input = if plan.rectified {
         by_input.mask_fill(input.lower_equal_elem(0.0), 0.0)
     } else {
@@ -125,9 +119,7 @@ fn raise<B: Backend>(plan: Convolution, lowered: Tensor<B, 3>, time: usize) -> T
     });
     let summed = parts.reduce(|sum, part| sum + part);
     let summed = summed.unwrap_or_else(|| Tensor::zeros([batch, total, unit * channels], &device));
-    summed
-        .reshape([batch, time + 2 * padding, channels])
-        .narrow(1, padding, time)
+    summed.reshape([batch, time + 2 * padding, channels]).narrow(1, padding, time)
 }
 
 fn columns<B: Backend>(
@@ -136,11 +128,7 @@ fn columns<B: Backend>(
     lowered: Tensor<B, 2>,
 ) -> Tensor<B, 2> {
     let channels = plan.inputs;
-    lowered.narrow(
-        1,
-        product.frames.start * channels,
-        product.frames.len() * channels,
-    )
+    lowered.narrow(1, product.frames.start * channels, product.frames.len() * channels)
 }
 
 /// The parts of the kernel that a product needs, `[frames * in, out]`.
@@ -214,9 +202,7 @@ fn split<B: Backend>(heads: Heads, tensor: Tensor<B, 3>) -> Tensor<B, 4> {
 /// The opposite of [`split`].
 fn joined<B: Backend>(tensor: Tensor<B, 4>) -> Tensor<B, 3> {
     let [batch, heads, length, size] = tensor.dims();
-    tensor
-        .swap_dims(1, 2)
-        .reshape([batch, length, heads * size])
+    tensor.swap_dims(1, 2).reshape([batch, length, heads * size])
 }
 
 /// Shares of the values, `[batch, heads, length, length]`, and the factor of the scores.
@@ -230,13 +216,8 @@ fn shares<B: Backend>(
     let [batch, heads, length, size] = query.dims();
     let scale = 1.0 / (size as f64).sqrt();
     let scores = query.mul_scalar(scale).matmul(key.swap_dims(2, 3));
-    let forbidden = forbidden
-        .unsqueeze::<4>()
-        .expand([batch, heads, length, length]);
-    (
-        softmax(scores.mask_fill(forbidden, f32::NEG_INFINITY), 3),
-        scale,
-    )
+    let forbidden = forbidden.unsqueeze::<4>().expand([batch, heads, length, length]);
+    (softmax(scores.mask_fill(forbidden, f32::NEG_INFINITY), 3), scale)
 }
 
 fn dropped<B: Backend>(shares: Tensor<B, 4>, kept: Option<Tensor<B, 4>>) -> Tensor<B, 4> {
@@ -266,9 +247,7 @@ pub(super) fn attend_backward<B: Backend>(
     let Queries { query, key, value } = queries;
     let (shares, scale) = shares(heads, query.clone(), key.clone(), forbidden);
     let outer = split(heads, outer);
-    let by_value = dropped(shares.clone(), kept.clone())
-        .swap_dims(2, 3)
-        .matmul(outer.clone());
+    let by_value = dropped(shares.clone(), kept.clone()).swap_dims(2, 3).matmul(outer.clone());
     let by_shares = dropped(outer.matmul(split(heads, value).swap_dims(2, 3)), kept);
     let along = (by_shares.clone() * shares.clone()).sum_dim(3);
     let by_scores = (shares * (by_shares - along)).mul_scalar(scale);

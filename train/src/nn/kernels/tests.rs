@@ -9,13 +9,8 @@ use super::{Convolution, Descent, Heads, Kernels, Kind, Queries, plain};
 
 type Traced = Autodiff<Flex>;
 
-const KINDS: [Kind; 5] = [
-    Kind::Pointwise,
-    Kind::Dilated(1),
-    Kind::Dilated(9),
-    Kind::Halving,
-    Kind::Doubling,
-];
+const KINDS: [Kind; 5] =
+    [Kind::Pointwise, Kind::Dilated(1), Kind::Dilated(9), Kind::Halving, Kind::Doubling];
 const TOLERANCE: f32 = 2e-5;
 
 fn random<const D: usize>(shape: [usize; D], seed: u64) -> Tensor<Flex, D> {
@@ -38,12 +33,7 @@ fn traced<const D: usize>(tensor: &Tensor<Flex, D>) -> Tensor<Traced, D> {
 fn convolutions_agree() {
     // Enough pieces for several groups, and one that is not full.
     for (kind, rectified) in KINDS.iter().flat_map(|&kind| [(kind, false), (kind, true)]) {
-        let plan = Convolution {
-            kind,
-            rectified,
-            inputs: 5,
-            outputs: 7,
-        };
+        let plan = Convolution { kind, rectified, inputs: 5, outputs: 7 };
         let input = random([31, 26, 5], 1);
         let weight = random([plan.kernel() * 35], 2);
         let bias = random([7], 3);
@@ -72,25 +62,11 @@ fn gelu_agrees() {
     let outer = random([3, 50, 200], 2);
     let leaf = traced(&input);
     let result = burn_tensor::activation::gelu(leaf.clone());
-    close(
-        Flex::activate(input.clone()),
-        result.clone().inner(),
-        "gelu",
-    );
-    let gradients = (result * Tensor::from_inner(outer.clone()))
-        .sum()
-        .backward();
+    close(Flex::activate(input.clone()), result.clone().inner(), "gelu");
+    let gradients = (result * Tensor::from_inner(outer.clone())).sum().backward();
     let wanted = leaf.grad(&gradients).unwrap();
-    close(
-        Flex::activate_backward(input.clone(), outer.clone()),
-        wanted.clone(),
-        "derivative",
-    );
-    close(
-        plain::gelu_backward(input, outer),
-        wanted,
-        "plain derivative",
-    );
+    close(Flex::activate_backward(input.clone(), outer.clone()), wanted.clone(), "derivative");
+    close(plain::gelu_backward(input, outer), wanted, "plain derivative");
 }
 
 #[test]
@@ -102,18 +78,12 @@ fn normalisations_agree() {
     let result = plain::normalise(leaves.0.clone(), leaves.1.clone(), leaves.2.clone());
     let found = Flex::normalise(input.clone(), weight.clone(), bias);
     close(found, result.clone().inner(), "normalise");
-    let gradients = (result * Tensor::from_inner(outer.clone()))
-        .sum()
-        .backward();
+    let gradients = (result * Tensor::from_inner(outer.clone())).sum().backward();
     let found = Flex::normalise_backward(input.clone(), weight.clone(), outer.clone());
     let own = plain::normalise_backward(input, weight, outer);
     for gradient in [found, own] {
         close(gradient.input, leaves.0.grad(&gradients).unwrap(), "input");
-        close(
-            gradient.weight,
-            leaves.1.grad(&gradients).unwrap(),
-            "weight",
-        );
+        close(gradient.weight, leaves.1.grad(&gradients).unwrap(), "weight");
         close(gradient.bias, leaves.2.grad(&gradients).unwrap(), "bias");
     }
 }
@@ -122,21 +92,13 @@ fn normalisations_agree() {
 fn attention_agrees() {
     let (heads, length) = (Heads { count: 4 }, 9);
     let part = |seed| random([5, length, 24], seed);
-    let queries = Queries {
-        query: part(1),
-        key: part(2),
-        value: part(3),
-    };
+    let queries = Queries { query: part(1), key: part(2), value: part(3) };
     let outer = part(4);
-    let forbidden: Vec<bool> = (0..length * length)
-        .map(|flat| flat % length > flat / length)
-        .collect();
+    let forbidden: Vec<bool> =
+        (0..length * length).map(|flat| flat % length > flat / length).collect();
     let forbidden = TensorData::new(forbidden, [length, length]);
     let mask = Tensor::<Flex, 2, Bool>::from_data(forbidden.clone(), &FlexDevice);
-    for kept in [
-        None,
-        Some(Flex::kept(&random([5, 4, length, length], 5), 0.3)),
-    ] {
+    for kept in [None, Some(Flex::kept(&random([5, 4, length, length], 5), 0.3))] {
         let leaves = Queries {
             query: traced(&queries.query),
             key: traced(&queries.key),
@@ -150,38 +112,23 @@ fn attention_agrees() {
         );
         let found = Flex::attend(heads, queries.clone(), mask.clone(), kept.clone());
         close(found, result.clone().inner(), "attention");
-        let gradients = (result * Tensor::from_inner(outer.clone()))
-            .sum()
-            .backward();
+        let gradients = (result * Tensor::from_inner(outer.clone())).sum().backward();
         let arguments = || (queries.clone(), mask.clone(), kept.clone(), outer.clone());
         let (q, m, k, o) = arguments();
         let found = Flex::attend_backward(heads, q, m, k, o);
         let (q, m, k, o) = arguments();
         let own = plain::attend_backward(heads, q, m, k, o);
         for gradient in [found, own] {
-            close(
-                gradient.query,
-                leaves.query.grad(&gradients).unwrap(),
-                "query",
-            );
+            close(gradient.query, leaves.query.grad(&gradients).unwrap(), "query");
             close(gradient.key, leaves.key.grad(&gradients).unwrap(), "key");
-            close(
-                gradient.value,
-                leaves.value.grad(&gradients).unwrap(),
-                "value",
-            );
+            close(gradient.value, leaves.value.grad(&gradients).unwrap(), "value");
         }
     }
 }
 
 #[test]
 fn descents_agree() {
-    let step = Descent {
-        betas: [0.9, 0.99],
-        corrections: [0.3, 0.05],
-        rate: 0.01,
-        epsilon: 1e-8,
-    };
+    let step = Descent { betas: [0.9, 0.99], corrections: [0.3, 0.05], rate: 0.01, epsilon: 1e-8 };
     let part = |seed| random([40_000], seed);
     let moments = || [part(3), part(4).abs()];
     let (found, [first, second]) = Flex::descend(step, part(1), part(2), moments());
@@ -195,12 +142,7 @@ fn descents_agree() {
 fn automatic_derivatives_know_the_kernels() {
     let input = random([2, 8, 6], 1);
     let (weight, bias) = (random([6 * 6], 2), random([6], 3));
-    let plan = Convolution {
-        kind: Kind::Pointwise,
-        rectified: false,
-        inputs: 6,
-        outputs: 6,
-    };
+    let plan = Convolution { kind: Kind::Pointwise, rectified: false, inputs: 6, outputs: 6 };
     let leaf = traced(&input);
     let (weight, bias) = (Tensor::from_inner(weight), Tensor::from_inner(bias));
     let hidden = Traced::convolve(plan, leaf.clone(), weight, bias);
@@ -215,9 +157,7 @@ fn automatic_derivatives_know_the_kernels() {
     };
     let mask =
         Tensor::<Traced, 2, Bool>::from_data(TensorData::new(vec![false; 64], [8, 8]), &FlexDevice);
-    let loss = Traced::attend(Heads { count: 2 }, queries, mask, None)
-        .square()
-        .sum();
+    let loss = Traced::attend(Heads { count: 2 }, queries, mask, None).square().sum();
     let value = |input: Tensor<Flex, 3>| {
         let weight = random([6 * 6], 2);
         let hidden = plain::convolve(plan, input, weight, random([6], 3));
@@ -246,8 +186,5 @@ fn automatic_derivatives_know_the_kernels() {
     let back = value(input - direction.clone().mul_scalar(step));
     let wanted = (there - back) / (2.0 * step);
     let found = (gradient * direction).sum().into_scalar();
-    assert!(
-        (found - wanted).abs() < 0.01 * wanted.abs().max(1.0),
-        "{found} {wanted}"
-    );
+    assert!((found - wanted).abs() < 0.01 * wanted.abs().max(1.0), "{found} {wanted}");
 }

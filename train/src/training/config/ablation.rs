@@ -22,9 +22,7 @@ impl AblationConfig {
             ("separate_halves", self.separate_halves),
             ("continuous", self.continuous),
         ];
-        flags
-            .into_iter()
-            .find_map(|(name, set)| set.then_some(name))
+        flags.into_iter().find_map(|(name, set)| set.then_some(name))
     }
 
     pub(super) fn check(self, rewards: bool) -> Result<(), String> {

@@ -30,10 +30,7 @@ pub(super) fn within_range<const N: usize>(
     range: impl RangeBounds<f64>,
     text: &str,
 ) -> Result<(), String> {
-    match numbers
-        .into_iter()
-        .find(|(_, value)| !range.contains(value))
-    {
+    match numbers.into_iter().find(|(_, value)| !range.contains(value)) {
         Some((name, value)) => Err(format!("{name} ({value}) must lie in {text}")),
         None => Ok(()),
     }

@@ -46,9 +46,7 @@ impl ExportConfig {
         }
         if !(1..=MAX_CANDIDATES).contains(&self.candidates) {
             let candidates = self.candidates;
-            return Err(format!(
-                "candidates ({candidates}) must lie in 1..={MAX_CANDIDATES}"
-            ));
+            return Err(format!("candidates ({candidates}) must lie in 1..={MAX_CANDIDATES}"));
         }
         at_least_one([("hop", self.hop)])
     }

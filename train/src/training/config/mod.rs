@@ -68,18 +68,12 @@ impl DataConfig {
     }
 
     fn check(&self) -> Result<(), String> {
-        let Self {
-            phases,
-            count_periods,
-            ..
-        } = self;
+        let Self { phases, count_periods, .. } = self;
         if !(1..=PHASES).contains(phases) {
             return Err(format!("phases ({phases}) must lie in 1..={PHASES}"));
         }
         if count_periods.contains(&0) || count_periods.len() > MAX_COUNT_PERIODS {
-            return Err(format!(
-                "count_periods: at most {MAX_COUNT_PERIODS}, each at least 1"
-            ));
+            return Err(format!("count_periods: at most {MAX_COUNT_PERIODS}, each at least 1"));
         }
         if !count_periods.is_empty() && self.profile != Profile::Librosa011 {
             return Err("count_periods need the profile librosa-0.11".into());
@@ -126,10 +120,7 @@ impl Config {
     /// [`TrainError`] names the file and what is wrong in it.
     pub fn read(path: &Path) -> Result<Self, TrainError> {
         let text = std::fs::read_to_string(path).map_err(TrainError::file(path))?;
-        Self::parse(&text).map_err(|message| TrainError::Config {
-            path: path.to_owned(),
-            message,
-        })
+        Self::parse(&text).map_err(|message| TrainError::Config { path: path.to_owned(), message })
     }
 
     /// Reads settings, laid over the published ones.
@@ -137,10 +128,7 @@ impl Config {
     /// # Errors
     /// One line on what is wrong.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let table = |text: &str| {
-            text.parse::<toml::Table>()
-                .map_err(|error| error.to_string())
-        };
+        let table = |text: &str| text.parse::<toml::Table>().map_err(|error| error.to_string());
         let mut settings = table(BASE)?;
         overlay(&mut settings, table(text)?);
         let config: Self = settings.try_into().map_err(|error| error.to_string())?;
@@ -149,10 +137,7 @@ impl Config {
     }
 
     /// Returns the published settings.
-    #[expect(
-        clippy::expect_used,
-        reason = "a file of this crate, which a test reads"
-    )]
+    #[expect(clippy::expect_used, reason = "a file of this crate, which a test reads")]
     pub(super) fn published() -> Self {
         Self::parse("").expect("the published settings are valid")
     }

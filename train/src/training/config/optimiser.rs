@@ -65,10 +65,7 @@ impl TrainingConfig {
         let share = step as f64 / total.max(1) as f64;
         let fall = match self.schedule {
             Schedule::Milestones => {
-                let passed = self
-                    .milestones
-                    .iter()
-                    .filter(|&&milestone| share >= milestone);
+                let passed = self.milestones.iter().filter(|&&milestone| share >= milestone);
                 self.factor.powi(passed.count() as i32)
             }
             Schedule::Cosine => {

@@ -116,9 +116,7 @@ pub struct GptConfig {
 impl GptConfig {
     /// `phases`: those of the data.
     pub(super) fn check(&self, phases: usize) -> Result<(), String> {
-        let Self {
-            channels, heads, ..
-        } = self;
+        let Self { channels, heads, .. } = self;
         at_least_one([
             ("channels", *channels),
             ("block", self.block),
@@ -126,15 +124,11 @@ impl GptConfig {
             ("base_layers", self.base_layers),
         ])?;
         if *heads == 0 || !channels.is_multiple_of(*heads) {
-            return Err(format!(
-                "channels ({channels}) cannot be divided among {heads} heads"
-            ));
+            return Err(format!("channels ({channels}) cannot be divided among {heads} heads"));
         }
         if self.phases > phases {
             let asked = self.phases;
-            return Err(format!(
-                "phases ({asked}) must lie in 0..={phases}, the phases of [data]"
-            ));
+            return Err(format!("phases ({asked}) must lie in 0..={phases}, the phases of [data]"));
         }
         let shares = [("dropout", self.dropout), ("code_noise", self.code_noise)];
         within_range(shares, 0.0..1.0, "0..1")?;

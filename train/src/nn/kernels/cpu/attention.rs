@@ -46,10 +46,8 @@ impl Piece<'_> {
         let key = self.key.slice_axis(Axis(1), self.columns(head));
         let mut shares = Array2::zeros((length, length));
         general_mat_mul(self.scale(), &query, &key.t(), 0.0, &mut shares);
-        let rows = shares
-            .as_slice_mut()
-            .expect("fresh zeros are contiguous")
-            .chunks_mut(length.max(1));
+        let rows =
+            shares.as_slice_mut().expect("fresh zeros are contiguous").chunks_mut(length.max(1));
         for (row, forbidden) in rows.zip(self.forbidden.chunks(length.max(1))) {
             soften(row, forbidden);
         }

@@ -95,10 +95,7 @@ impl Prepared {
     #[expect(clippy::expect_used, reason = "a fresh product is contiguous")]
     fn add_to(&self, change: &Array2<f32>, whole: &mut [f32]) {
         let length = self.inputs * self.kernel.ncols();
-        let parts = change
-            .as_slice()
-            .expect("a product is contiguous")
-            .chunks(length.max(1));
+        let parts = change.as_slice().expect("a product is contiguous").chunks(length.max(1));
         for (&tap, part) in self.product.taps.iter().zip(parts) {
             let Some(slot) = whole.get_mut(tap * length..(tap + 1) * length) else {
                 continue;
@@ -133,12 +130,7 @@ impl Grouped {
                 inputs: plan.inputs,
             }
         });
-        Self {
-            plan,
-            time,
-            rows: plan.rows(time),
-            products: products.collect(),
-        }
+        Self { plan, time, rows: plan.rows(time), products: products.collect() }
     }
 
     /// Pieces of a group.

@@ -60,14 +60,11 @@ pub(super) fn gelu(input: Tensor<Flex, 3>) -> Tensor<Flex, 3> {
     let shape = input.dims();
     let input = host(input);
     let mut output = vec![0.0; values(&input).len()];
-    output
-        .par_chunks_mut(PART)
-        .zip(values(&input).par_chunks(PART))
-        .for_each(|(output, input)| {
-            for (output, &x) in output.iter_mut().zip(input) {
-                *output = x * normal(x).0;
-            }
-        });
+    output.par_chunks_mut(PART).zip(values(&input).par_chunks(PART)).for_each(|(output, input)| {
+        for (output, &x) in output.iter_mut().zip(input) {
+            *output = x * normal(x).0;
+        }
+    });
     tensor(output, shape)
 }
 
@@ -162,11 +159,7 @@ pub(super) fn normalise_backward(
         }
         tensor(total, [channels])
     };
-    AffineGradients {
-        weight: total(0),
-        bias: total(1),
-        input: tensor(by_input, shape),
-    }
+    AffineGradients { weight: total(0), bias: total(1), input: tensor(by_input, shape) }
 }
 
 fn normalise_row_backward(
@@ -204,9 +197,8 @@ pub(super) fn kept<const D: usize>(like: &Tensor<Flex, D>, share: f64) -> Tensor
     let shape = like.dims();
     // The backend's own generator, which the run seeds, gives the seed.
     let seed = Tensor::<Flex, 1>::random([4], Distribution::Uniform(0.0, 65_536.0), &like.device());
-    let seed = values(&host(seed))
-        .iter()
-        .fold(0, |seed, &part| seed << 16 | u64::from(part as u16));
+    let seed =
+        values(&host(seed)).iter().fold(0, |seed, &part| seed << 16 | u64::from(part as u16));
     let limit = (share * u64::MAX as f64) as u64;
     let scale = (1.0 / (1.0 - share)) as f32;
     let mut output = vec![0.0; shape.iter().product()];

@@ -24,12 +24,11 @@ pub(super) fn map(
     let mut product = host(product);
     let bias = host(bias);
     let sums = product.storage_mut::<f32>();
-    sums.par_chunks_mut((ROWS * plan.outputs).max(1))
-        .for_each(|rows| {
-            for row in rows.chunks_mut(plan.outputs.max(1)) {
-                add(row, values(&bias));
-            }
-        });
+    sums.par_chunks_mut((ROWS * plan.outputs).max(1)).for_each(|rows| {
+        for row in rows.chunks_mut(plan.outputs.max(1)) {
+            add(row, values(&bias));
+        }
+    });
     let product: Tensor<Flex, 2> = Tensor::from_primitive(TensorPrimitive::Float(product));
     product.reshape([batch, length, plan.outputs])
 }

@@ -109,10 +109,7 @@ fn host<const D: usize>(tensor: Tensor<Flex, D>) -> FlexTensor {
 }
 
 /// Returns the values of a tensor from [`host`].
-#[expect(
-    clippy::expect_used,
-    reason = "all tensors of the trainer are contiguous float32 here"
-)]
+#[expect(clippy::expect_used, reason = "all tensors of the trainer are contiguous float32 here")]
 fn values(tensor: &FlexTensor) -> &[f32] {
     tensor.as_slice().expect("contiguous float32")
 }
