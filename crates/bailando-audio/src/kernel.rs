@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use bailando_core::dsp::{LANES, bessel_i0, dot};
+use bailando_core::dsp::{LANES, bessel_i0, dot, dots};
 
 /// Cut-off relative to the lower Nyquist frequency: flat to 0.913 of it, -120 dB from 1.0.
 const CUTOFF: f64 = 0.95685;
@@ -105,17 +105,30 @@ impl Kernel {
         2 * self.reach
     }
 
+    /// Returns what [`Kernel::apply`] gives for several windows at the same phase: one pass over the
+    /// coefficients, which come from far away in the memory. `None` where phases are interpolated.
+    pub(crate) fn apply_to<const N: usize>(
+        &self,
+        phase: u64,
+        windows: [&[f32]; N],
+    ) -> Option<[f32; N]> {
+        (self.interpolated == 0).then(|| dots(self.row(phase as usize), windows))
+    }
+
+    fn row(&self, index: usize) -> &[f32] {
+        let taps = self.taps();
+        &self.rows[index * taps..(index + 1) * taps]
+    }
+
     /// Returns one output: `window` holds the inputs around it, `phase / phases` is its distance
     /// after the window's middle input.
     pub(crate) fn apply(&self, phase: u64, window: &[f32]) -> f32 {
-        let taps = self.taps();
-        let row = |index: usize| &self.rows[index * taps..(index + 1) * taps];
         if self.interpolated == 0 {
-            return dot(row(phase as usize), window);
+            return dot(self.row(phase as usize), window);
         }
         let at = phase as f64 / self.phases as f64 * f64::from(self.interpolated);
         let (index, fraction) = (at as usize, at.fract() as f32);
-        let (low, high) = (dot(row(index), window), dot(row(index + 1), window));
+        let (low, high) = (dot(self.row(index), window), dot(self.row(index + 1), window));
         low + fraction * (high - low)
     }
 }

@@ -41,6 +41,55 @@ pub fn dot(a: &[f32], b: &[f32]) -> f32 {
     )
 }
 
+/// Returns [`dot`] of `a` with each of `N` others, all of at least its length, bit for bit: `a` is
+/// read once for all of them.
+///
+/// # Panics
+/// If one of `others` is shorter than `a`.
+pub fn dots<const N: usize>(a: &[f32], others: [&[f32]; N]) -> [f32; N] {
+    vectorised(
+        #[inline(always)]
+        || dots_inlined(a, others.map(|other| &other[..a.len()])),
+    )
+}
+
+#[inline(always)]
+fn dots_inlined<const N: usize>(a: &[f32], others: [&[f32]; N]) -> [f32; N] {
+    /// Products side by side here: all sums fit into the registers.
+    const SIDE: usize = 8;
+    let (a_lanes, a_rest) = a.as_chunks::<LANES>();
+    let others = others.map(<[f32]>::as_chunks::<LANES>);
+    let mut sums = [[0.0_f32; LANES]; N];
+    for part in 0..LANES / SIDE {
+        let mut parts = [[0.0_f32; SIDE]; N];
+        for (index, a) in a_lanes.iter().enumerate() {
+            let a = &a.as_chunks::<SIDE>().0[part];
+            for (sums, other) in parts.iter_mut().zip(&others) {
+                let b = &other.0[index].as_chunks::<SIDE>().0[part];
+                for ((sum, a), b) in sums.iter_mut().zip(a).zip(b) {
+                    *sum += a * b;
+                }
+            }
+        }
+        for (sums, parts) in sums.iter_mut().zip(parts) {
+            sums.as_chunks_mut::<SIDE>().0[part] = parts;
+        }
+    }
+    let mut totals = [0.0_f32; N];
+    for lane in 0..LANES {
+        for (total, sums) in totals.iter_mut().zip(&sums) {
+            *total += sums[lane];
+        }
+    }
+    let mut rests = [0.0_f32; N];
+    for (index, a) in a_rest.iter().enumerate() {
+        for (rest, other) in rests.iter_mut().zip(&others) {
+            *rest += a * other.1[index];
+        }
+    }
+    std::array::from_fn(|index| totals[index] + rests[index])
+}
+
 #[inline(always)]
 fn dot_inlined(a: &[f32], b: &[f32]) -> f32 {
     let length = a.len().min(b.len());
@@ -75,6 +124,9 @@ mod tests {
             let direct: f32 = a[..length].iter().zip(&b).map(|(a, b)| a * b).sum();
             assert!((dot(&a[..length], &b) - direct).abs() < 1e-5, "{length}");
             assert_eq!(dot(&a[..length], &b), dot(&b, &a[..length]));
+            let several = [0, 3, 1, 8, 5].map(|start| &b[start..]);
+            let together = dots(&a[..length.min(53)], several);
+            assert_eq!(together, several.map(|b| dot(&a[..length], b)));
         }
     }
 }
