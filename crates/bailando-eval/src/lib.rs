@@ -6,6 +6,7 @@ mod clips;
 mod distance;
 mod error;
 mod files;
+mod foot_contact;
 mod geometric;
 mod interval;
 mod kinetic;

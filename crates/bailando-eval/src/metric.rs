@@ -58,6 +58,8 @@ metrics! {
     Jerk "jerk" "jerk, m/s³" Alike 1
     "Horizontal speed of standing feet, cm/s."
     FootSkate "foot_skate" "foot skate, cm/s" Low 2
+    "Physical foot contact score of EDGE: acceleration while both feet slide."
+    FootContact "pfc" "physical foot contact (PFC)" Low 3
     "Share of 2 s windows that a training take has, too."
     Recitation "recitation" "recited share of 2 s windows" Low 4
     "Different codes of the upper body in all pieces."

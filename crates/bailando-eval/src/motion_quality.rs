@@ -6,6 +6,7 @@ use crate::{
         FRAMES_PER_SECOND, JOINTS, Pose,
         joint::{L_TOES, R_TOES},
     },
+    foot_contact::physical_foot_contact,
 };
 use bailando_motion::{dance_beats, slow_share};
 
@@ -23,6 +24,8 @@ const STANDING_SHARE: f64 = 0.25;
 pub struct MotionQuality {
     /// Median horizontal speed of a foot that stands, mean of both, cm/s.
     pub foot_skate: f64,
+    /// Physical foot contact score (EDGE); none without acceleration.
+    pub physical_foot_contact: Option<f64>,
     /// Mean length of the third derivative, m/s^3.
     pub jerk: f64,
     /// Mean joint speed, m/s.
@@ -49,6 +52,7 @@ impl MotionQuality {
         let seconds = poses.len().max(1) as f64 / FRAMES_PER_SECOND;
         Self {
             foot_skate: 0.5 * (foot_skate(poses, L_TOES) + foot_skate(poses, R_TOES)),
+            physical_foot_contact: physical_foot_contact(poses),
             jerk: jerk(poses),
             mean_speed: speed.iter().sum::<f64>() / steps * FRAMES_PER_SECOND,
             slow_frames: slow_share(&speed, FRAMES_PER_SECOND),

@@ -173,12 +173,13 @@ impl Evaluator {
 fn score_quality(scores: &mut Scores, motions: &[&Motion]) {
     let each: Vec<MotionQuality> =
         motions.iter().map(|motion| MotionQuality::new(motion.poses())).collect();
-    let means: [Mean<MotionQuality>; 5] = [
+    let means: [Mean<MotionQuality>; 6] = [
         (Metric::DanceBeatsPerSecond, |q| Some(q.dance_beats_per_second)),
         (Metric::SlowFrames, |q| Some(q.slow_frames)),
         (Metric::MeanSpeed, |q| Some(q.mean_speed)),
         (Metric::Jerk, |q| Some(q.jerk)),
         (Metric::FootSkate, |q| Some(q.foot_skate)),
+        (Metric::FootContact, |q| q.physical_foot_contact),
     ];
     set_means(scores, &each, &means);
     let windows: usize = each.iter().map(|quality| quality.windows).sum();

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use bailando_eval::{
     BeatScore, BeatsFrom, Clips, EvaluationOptions, FeatureRows, KineticForm, Metric, Motion,
-    Report, Scores, evaluate, load_motion, speed,
+    MotionQuality, Report, Scores, evaluate, load_motion, speed,
 };
 use bailando_motion::dance_beats;
 use bailando_testkit::motion::write_motion;
@@ -48,6 +48,24 @@ fn features_are_golden() {
     let backwards: Vec<Motion> =
         ballroom(&data, &ids["reversed"]).iter().map(|motion| reversed(motion).0).collect();
     golden_rows(&golden, "_reversed", &backwards);
+}
+
+/// Physical foot contact scores by a few lines of NumPy written from the published definition.
+#[test]
+fn foot_contact_is_golden() {
+    let files = [
+        ("data/salsa/60_01.npy", 0.325_188_269_107_725_7),
+        ("data/salsa/61_15.npy", 0.680_129_835_831_189_1),
+        ("data/dance-with-melody/C_1.npy", 0.663_329_204_410_252_2),
+    ];
+    for (file, expected) in files {
+        let Some(file) = bailando_testkit::shared(file) else {
+            return;
+        };
+        let motion = load_motion(&file).unwrap();
+        let found = MotionQuality::new(motion.poses()).physical_foot_contact;
+        close(found.unwrap(), expected, 1e-6, "physical foot contact");
+    }
 }
 
 fn check_distances(scores: &Scores, expected: &serde_json::Value) {
