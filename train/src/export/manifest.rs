@@ -3,15 +3,15 @@
 use std::collections::BTreeMap;
 
 use bailando::{
-    features::{HOP, Rate},
+    features::{HOP, Profile, Rate},
     model::{
-        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults, Vocabulary,
-        WindowKind,
+        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
+        SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
     },
     motion::MotionFrame,
 };
 
-use super::{Description, ExportError, skeleton};
+use super::{ExportError, skeleton};
 use crate::{
     onnx::receptive_codes,
     weights::{GptWeights, HALF_JOINTS, VqVaeWeights},
@@ -19,6 +19,44 @@ use crate::{
 
 /// Frames per second of all motion that the models know.
 const FPS: u32 = 60;
+
+/// Codes that a window keeps when it moves, as the golden vectors and the model cards have it.
+pub const PUBLISHED_HOP: usize = 15;
+
+/// The manifest's entries that do not follow from the weights.
+#[derive(Clone, Debug)]
+pub struct Description {
+    /// Name of the model.
+    pub name: String,
+    /// Licence of the weights.
+    pub licence: String,
+    /// Feature chain that the model was trained with.
+    pub profile: Profile,
+    /// Periods in counts that the model is conditioned on, after the features.
+    pub count_periods: Vec<u32>,
+    /// Pairs (upper, lower) to draw a start from; empty: any pair.
+    pub start_codes: Vec<[u32; 2]>,
+    /// Codes that are never drawn.
+    pub suppressed_codes: SuppressedCodes,
+    /// Default temperature; 0 takes the most likely code.
+    pub temperature: f32,
+    /// Default scale of classifier-free guidance by the music; 1 is none.
+    pub guidance: f32,
+    /// Default number of candidates for a segment; 1 takes the first.
+    pub candidates: usize,
+    /// Whether segments that stand still are regenerated.
+    pub redo: bool,
+    /// Codes that a window keeps when it moves ([`PUBLISHED_HOP`]); at most the context.
+    pub hop: usize,
+    /// Frame of the motion that the weights were trained on.
+    pub motion_frame: MotionFrame,
+    /// Height in metres at which the root starts.
+    pub root_height: f32,
+    /// How weights are stored.
+    pub weights: WeightStorage,
+    /// How the model was trained.
+    pub training: BTreeMap<String, serde_json::Value>,
+}
 
 /// The manifest without its files.
 pub(super) fn manifest(

@@ -6,60 +6,19 @@ mod skeleton;
 mod staging;
 
 pub use error::ExportError;
+pub use manifest::{Description, PUBLISHED_HOP};
 pub use skeleton::skeleton;
 pub(crate) use staging::check_target;
 
-use std::{collections::BTreeMap, path::Path};
+use std::path::Path;
 
-use bailando::{
-    features::Profile,
-    model::{Manifest, ModelDirectory, SuppressedCodes, WeightStorage},
-    motion::MotionFrame,
-};
+use bailando::model::{Manifest, ModelDirectory};
 
 use crate::{
     onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph},
     weights::{GptWeights, VqVaeWeights},
 };
 use staging::Staging;
-
-/// Codes that a window keeps when it moves, as the golden vectors and the model cards have it.
-pub const PUBLISHED_HOP: usize = 15;
-
-/// The manifest's entries that do not follow from the weights.
-#[derive(Clone, Debug)]
-pub struct Description {
-    /// Name of the model.
-    pub name: String,
-    /// Licence of the weights.
-    pub licence: String,
-    /// Feature chain that the model was trained with.
-    pub profile: Profile,
-    /// Periods in counts that the model is conditioned on, after the features.
-    pub count_periods: Vec<u32>,
-    /// Pairs (upper, lower) to draw a start from; empty: any pair.
-    pub start_codes: Vec<[u32; 2]>,
-    /// Codes that are never drawn.
-    pub suppressed_codes: SuppressedCodes,
-    /// Default temperature; 0 takes the most likely code.
-    pub temperature: f32,
-    /// Default scale of classifier-free guidance by the music; 1 is none.
-    pub guidance: f32,
-    /// Default number of candidates for a segment; 1 takes the first.
-    pub candidates: usize,
-    /// Whether segments that stand still are regenerated.
-    pub redo: bool,
-    /// Codes that a window keeps when it moves ([`PUBLISHED_HOP`]); at most the context.
-    pub hop: usize,
-    /// Frame of the motion that the weights were trained on.
-    pub motion_frame: MotionFrame,
-    /// Height in metres at which the root starts.
-    pub root_height: f32,
-    /// How weights are stored.
-    pub weights: WeightStorage,
-    /// How the model was trained.
-    pub training: BTreeMap<String, serde_json::Value>,
-}
 
 /// Writes a model directory at `out`, checked by loading it before it takes its place.
 ///

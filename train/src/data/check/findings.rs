@@ -1,6 +1,6 @@
 //! Collected findings, grouped by topic.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, path::Path};
 
 use serde::Serialize;
 
@@ -45,4 +45,10 @@ impl Findings {
         list.sort_by_key(|finding| (finding.severity, finding.topic));
         list
     }
+}
+
+/// Returns the name under which findings mention a file.
+pub(super) fn file_name(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
 }

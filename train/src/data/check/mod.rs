@@ -5,6 +5,7 @@ mod facts;
 mod findings;
 mod motions;
 mod music;
+mod options;
 mod report;
 mod songs;
 mod splits;
@@ -17,26 +18,10 @@ use std::{
 
 use findings::Findings;
 pub use findings::{Finding, Severity, Topic};
+pub use options::CheckOptions;
 pub use report::{Report, SplitSummary};
 
-use super::{DataError, Dataset, MotionSource, OpenOptions, Piece, Split};
-
-/// Extent of the checks.
-#[derive(Clone, Debug)]
-pub struct CheckOptions {
-    /// Facts that the folder does not hold.
-    pub open: OpenOptions,
-    /// Songs that are decoded, spread evenly; all without a number.
-    pub songs: Option<usize>,
-    /// Of these, songs whose beats are compared with the grid.
-    pub beats: usize,
-}
-
-impl Default for CheckOptions {
-    fn default() -> Self {
-        Self { open: OpenOptions::default(), songs: None, beats: 8 }
-    }
-}
+use super::{DataError, Dataset, MotionSource, Piece, Split};
 
 /// Checks the folder `root`.
 ///
@@ -94,11 +79,6 @@ fn missing_files(dataset: &Dataset, findings: &mut Findings) {
             }
         }
     }
-}
-
-fn file_name(path: &Path) -> String {
-    let name = path.file_name().unwrap_or_default();
-    name.to_string_lossy().into_owned()
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use bailando::motion::Skeleton;
 
 use super::{
     facts::{MotionFacts, measure},
-    findings::{Findings, Topic},
+    findings::{Findings, Topic, file_name},
 };
 use crate::data::{MotionSource, Piece};
 
@@ -38,7 +38,7 @@ pub(super) fn check(
     skeleton: &Skeleton,
     findings: &mut Findings,
 ) -> Option<usize> {
-    let name = super::file_name(source.path());
+    let name = file_name(source.path());
     let positions = match source.positions(skeleton) {
         Ok(positions) => positions,
         Err(error) => {

@@ -6,8 +6,9 @@ use std::{
 };
 
 use super::{
-    CheckOptions, beats,
-    findings::{Findings, Topic},
+    beats,
+    findings::{Findings, Topic, file_name},
+    options::CheckOptions,
     songs::{Songs, track},
 };
 use crate::data::{Dataset, Layout, MotionSource, MusicSource, Piece, json};
@@ -53,7 +54,7 @@ pub(super) fn check(
     for (path, pieces) in &by_song {
         match tracked.get(*path) {
             Some(Ok(song)) => {
-                let name = super::file_name(path);
+                let name = file_name(path);
                 if song.level < SILENCE {
                     findings.add(Topic::Silent, name);
                     continue;

@@ -5,8 +5,7 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use bailando::model::file_sha256;
 
 use super::{
-    file_name,
-    findings::{Findings, Topic},
+    findings::{Findings, Topic, file_name},
     motions::CROP,
     songs::Songs,
 };

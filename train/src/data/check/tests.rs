@@ -7,7 +7,10 @@ use serde_json::json;
 
 use super::*;
 use crate::{
-    data::testing::{FRAMES, TestFolder, clicks, dance},
+    data::{
+        OpenOptions,
+        testing::{FRAMES, TestFolder, clicks, dance},
+    },
     export::skeleton,
 };
 

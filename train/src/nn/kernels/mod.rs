@@ -6,19 +6,18 @@
 mod cpu;
 mod derivative;
 mod lowering;
+mod operands;
 mod plain;
 #[cfg(test)]
 mod tests;
 
 pub use lowering::{Convolution, Kind};
+pub use operands::{AffineGradients, AttentionGradients, Descent, Heads, Queries};
 
 use burn_tensor::{
     Bool, Tensor,
     backend::{AutodiffBackend, Backend},
 };
-
-/// Keeps a normalisation from dividing by zero.
-const NORM_EPSILON: f64 = 1e-5;
 
 /// A backend with the operations of this module.
 pub trait Kernels: Backend {
@@ -110,50 +109,6 @@ pub trait Kernels: Backend {
     fn kept<const D: usize>(like: &Tensor<Self, D>, share: f64) -> Tensor<Self, D> {
         plain::kept(like, share)
     }
-}
-
-/// The numbers of a step of Adam.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Descent {
-    /// Share of the moments that a step keeps.
-    pub betas: [f64; 2],
-    /// Divisors of the moments, which started from zero.
-    pub corrections: [f64; 2],
-    /// Learning rate.
-    pub rate: f64,
-    /// Keeps the step from dividing by zero.
-    pub epsilon: f64,
-}
-
-/// Attention heads.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Heads {
-    /// How many share the channels.
-    pub count: usize,
-}
-
-/// Inputs of attention, `[batch, length, channels]` each, the heads' channels one after
-/// the other.
-#[derive(Clone, Debug)]
-#[expect(missing_docs, reason = "the names are the usual ones")]
-pub struct Queries<B: Backend> {
-    pub query: Tensor<B, 3>,
-    pub key: Tensor<B, 3>,
-    pub value: Tensor<B, 3>,
-}
-
-/// Derivatives by the inputs of attention.
-pub type AttentionGradients<B> = Queries<B>;
-
-/// Derivatives by the inputs of a convolution or normalisation, in the same shapes.
-#[derive(Clone, Debug)]
-pub struct AffineGradients<B: Backend> {
-    /// By the input.
-    pub input: Tensor<B, 3>,
-    /// By the weight.
-    pub weight: Tensor<B, 1>,
-    /// By the bias.
-    pub bias: Tensor<B, 1>,
 }
 
 /// A backend that networks are trained on.

@@ -7,8 +7,8 @@ use burn_tensor::{
 };
 
 use super::{
-    AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kind, NORM_EPSILON, Queries,
-    lowering::Product,
+    AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kind, Queries,
+    lowering::Product, operands::NORM_EPSILON,
 };
 
 pub(super) fn convolve<B: Backend>(

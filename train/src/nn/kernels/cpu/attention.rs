@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{
     super::{AttentionGradients, Heads, Queries},
     elementwise::exp,
-    host, tensor, values,
+    memory::{host, tensor, values},
 };
 
 /// One piece, `[length, channels]` each, and what its heads have in common.

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::{
     super::{AffineGradients, Convolution, lowering::Product},
-    add, host, tensor, values,
+    memory::{add, host, tensor, values},
 };
 
 /// Rows of a matrix product that one thread takes at a time: large enough that a product is worth

@@ -4,7 +4,10 @@ use burn_flex::{Flex, FlexTensor};
 use burn_tensor::{Tensor, TensorPrimitive};
 use rayon::prelude::*;
 
-use super::{super::Descent, host, values};
+use super::{
+    super::Descent,
+    memory::{host, values},
+};
 
 /// Values that one thread takes at a time.
 const PART: usize = 16_384;

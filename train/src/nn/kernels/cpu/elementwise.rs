@@ -5,8 +5,8 @@ use burn_tensor::{Distribution, Tensor};
 use rayon::prelude::*;
 
 use super::{
-    super::{AffineGradients, NORM_EPSILON},
-    add, host, tensor, values,
+    super::{AffineGradients, operands::NORM_EPSILON},
+    memory::{add, host, tensor, values},
 };
 
 /// Values that one thread takes at a time.

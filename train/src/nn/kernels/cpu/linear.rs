@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     super::{AffineGradients, Convolution},
-    add, host, tensor, values,
+    memory::{add, host, tensor, values},
 };
 
 /// Rows that one thread takes at a time where it is not a product.

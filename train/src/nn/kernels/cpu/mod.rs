@@ -8,9 +8,10 @@ mod convolution;
 mod descent;
 mod elementwise;
 mod linear;
+mod memory;
 
-use burn_flex::{Flex, FlexTensor};
-use burn_tensor::{Bool, Tensor, TensorData, TensorPrimitive};
+use burn_flex::Flex;
+use burn_tensor::{Bool, Tensor};
 
 use super::{AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kernels, Queries};
 
@@ -94,27 +95,4 @@ impl Kernels for Flex {
     fn kept<const D: usize>(like: &Tensor<Self, D>, share: f64) -> Tensor<Self, D> {
         elementwise::kept(like, share)
     }
-}
-
-/// Adds values to sums, place by place.
-fn add(sums: &mut [f32], values: &[f32]) {
-    for (sum, value) in sums.iter_mut().zip(values) {
-        *sum += value;
-    }
-}
-
-/// The tensor with its values in order.
-fn host<const D: usize>(tensor: Tensor<Flex, D>) -> FlexTensor {
-    tensor.into_primitive().tensor().to_contiguous()
-}
-
-/// Returns the values of a tensor from [`host`].
-#[expect(clippy::expect_used, reason = "all tensors of the trainer are contiguous float32 here")]
-fn values(tensor: &FlexTensor) -> &[f32] {
-    tensor.as_slice().expect("contiguous float32")
-}
-
-fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Tensor<Flex, D> {
-    let primitive = FlexTensor::from_data(TensorData::new(values, shape));
-    Tensor::from_primitive(TensorPrimitive::Float(primitive))
 }
