@@ -26,8 +26,9 @@ use source::Crate;
 const MAX_COLUMNS: usize = 100;
 
 /// Crates from the bottom to the top. A crate may depend on those of lower levels only.
-const LEVELS: [(&str, u8); 11] = [
+const LEVELS: [(&str, u8); 12] = [
     ("bailando-core", 0),
+    ("bailando-kernels", 0),
     ("bailando-audio", 1),
     ("bailando-features", 2),
     ("bailando-motion", 3),

@@ -3,6 +3,7 @@
 use std::{fmt, path::PathBuf};
 
 use bailando::model::ModelDirectory;
+use clap::Args;
 use ndarray::{Array2, ArrayView1};
 use rand_chacha::{
     ChaCha8Rng,
@@ -17,13 +18,16 @@ use crate::{
 };
 
 /// What to compare.
-#[derive(Clone, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct CompareOptions {
-    /// Model directory of the original, whose VQ-VAE both share.
+    /// Model directory of the original
+    #[arg(value_name = "ORIGINAL")]
     pub original: PathBuf,
-    /// Model directory of the other.
+    /// Model directory of the other; both have one VQ-VAE
+    #[arg(value_name = "MODEL")]
     pub model: PathBuf,
-    /// What it is asked about.
+    /// The recordings that they predict.
+    #[command(flatten)]
     pub recordings: Recordings,
 }
 
@@ -87,11 +91,11 @@ fn measure<S: SplitKind>(
     let original = ModelDirectory::open(&options.original)?;
     let model = ModelDirectory::open(&options.model)?;
     let pairs = pairs(portion, &original, options.recordings.cache.as_deref())?;
-    let mut listeners = [Predictor::open(&original)?, Predictor::open(&model)?];
+    let mut predictors = [Predictor::open(&original)?, Predictor::open(&model)?];
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut sums = Sums::default();
     for pair in &pairs {
-        let [first, second] = &mut listeners;
+        let [first, second] = &mut predictors;
         let rows = pair.rows.view();
         let both = first.predicted(pair, rows)?.into_iter();
         for ((one, codes), (other, _)) in both.zip(second.predicted(pair, rows)?) {

@@ -6,22 +6,28 @@ use bailando::{
     model::{ModelDirectory, ModelError},
     motion::{MotionError, MotionFrame, integrate_root, to_dancer_frame},
 };
+use clap::Args;
 use ndarray::{Array2, Axis, Slice};
 
 use crate::data::{DataError, Dataset, JOINTS, Motion, OpenOptions, Portion, Split, SplitKind};
 
 /// The recordings to encode, and the folder to write.
-#[derive(Clone, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct EncodeOptions {
-    /// Model directory.
+    /// Model directory
+    #[arg(long = "model-dir", default_value = "models/default", value_name = "DIR")]
     pub model: PathBuf,
-    /// Data folder of any layout.
+    /// Data folder of any layout
+    #[arg(skip)]
     pub data: PathBuf,
-    /// Which of its splits.
-    pub split: Split,
-    /// Folder to write to.
+    /// Folder to write to
+    #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Whether the codes are also decoded.
+    /// Which recordings
+    #[arg(long, value_enum, default_value_t = Split::Test)]
+    pub split: Split,
+    /// Also write the decoded motion
+    #[arg(long)]
     pub reconstruct: bool,
 }
 

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use bailando::model::{Gpt, Logits, ModelDirectory, ModelError, Steps, code_pairs};
+use clap::Args;
 use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use crate::{
@@ -14,15 +15,19 @@ use crate::{
 };
 
 /// The recordings of a data folder that models predict.
-#[derive(Clone, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct Recordings {
-    /// Data folder of any layout, with songs.
+    /// Data folder of any layout, with songs
+    #[arg(skip)]
     pub data: PathBuf,
-    /// Folder of the songs, where they are kept apart.
+    /// Folder of the songs, where they are kept apart from the motions
+    #[arg(long, value_name = "DIR")]
     pub audio: Option<PathBuf>,
-    /// Folder of music features; without one: the usual one.
+    /// Folder of music features [default: the user's cache]
+    #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
-    /// Which split.
+    /// Which recordings
+    #[arg(long, value_enum, default_value_t = Split::Test)]
     pub split: Split,
 }
 

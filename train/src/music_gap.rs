@@ -4,6 +4,7 @@
 use std::{fmt, path::PathBuf};
 
 use bailando::model::ModelDirectory;
+use clap::Args;
 use ndarray::{Axis, Slice};
 use serde::Serialize;
 
@@ -17,11 +18,13 @@ use crate::{
 const HALF_BAR: f64 = 2.0;
 
 /// What to measure.
-#[derive(Clone, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct MusicGapOptions {
-    /// Model directory.
+    /// Model directory
+    #[arg(long = "model-dir", default_value = "models/default", value_name = "DIR")]
     pub model: PathBuf,
-    /// What it is asked about.
+    /// The recordings that it predicts.
+    #[command(flatten)]
     pub recordings: Recordings,
 }
 
@@ -52,7 +55,10 @@ impl fmt::Display for MusicGap {
         writeln!(f, "| its own, one count early | {} |", gap(self.one_count))?;
         writeln!(f, "| its own, half a bar early | {} |", gap(self.half_bar))?;
         let (pieces, codes) = (self.pieces, self.codes);
-        writeln!(f, "\n{pieces} pieces, {codes} codes; a model that does not hear has gaps of 0.")
+        writeln!(
+            f,
+            "\n{pieces} pieces, {codes} codes; a model that ignores the music has gaps of 0."
+        )
     }
 }
 

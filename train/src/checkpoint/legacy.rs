@@ -1,6 +1,6 @@
 //! The container before PyTorch 1.6: three small pickles (magic number, protocol version, system
 //! information), the object's pickle, the list of storage keys, and the raw storages in that
-//! order, each behind its number of values as int64.
+//! order, each after its number of values as int64.
 
 use std::{collections::HashMap, ops::Range};
 

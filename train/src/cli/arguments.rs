@@ -8,17 +8,16 @@ use bailando::{
     motion::MotionFrame,
 };
 use clap::{
-    Args, Parser, Subcommand, ValueEnum,
+    Args, Parser, Subcommand,
     builder::{PossibleValuesParser, TypedValueParser},
 };
 use serde::de::DeserializeOwned;
 
 use crate::{
     compare::CompareOptions,
-    data::{OpenOptions, Split, check::CheckOptions},
+    data::check::CheckOptions,
     encode::EncodeOptions,
     export::{Description, PUBLISHED_HOP},
-    held_out::Recordings,
     import::ImportOptions,
     music_gap::MusicGapOptions,
     training::{Config, Limits, StopFlag},
@@ -49,104 +48,39 @@ pub(super) enum Command {
     Adapt(AdaptArguments),
     /// Write the model directory of a finished run
     Export(RunArguments),
-    Encode(EncodeArguments),
+    /// Encode recordings with a model's pose VQ-VAE, and decode them again
+    ///
+    /// Writes `<id>.codes.npy` (int64 [2, codes], upper and lower) of every recording, and with
+    /// --reconstruct `<id>.npy` (float32 [frames, 24, 3]), which `bailando evaluate` measures.
+    Encode(DataCommand<EncodeOptions>),
     Generate(GenerateArguments),
-    MusicGap(MusicGapArguments),
-    Compare(CompareArguments),
-    CheckData(CheckArguments),
-}
-
-/// Encode recordings with a model's pose VQ-VAE, and decode them again
-///
-/// Writes `<id>.codes.npy` (int64 [2, codes], upper and lower) of every recording, and with
-/// --reconstruct `<id>.npy` (float32 [frames, 24, 3]), which `bailando evaluate` measures.
-#[derive(Args, Debug)]
-pub(super) struct EncodeArguments {
-    #[command(flatten)]
-    data: DataArguments,
-
-    /// Model directory
-    #[arg(long, default_value = "models/default", value_name = "DIR")]
-    pub(super) model_dir: PathBuf,
-
-    /// Folder to write to
-    #[arg(long, value_name = "DIR")]
-    pub(super) out: PathBuf,
-
-    /// Which recordings
-    #[arg(long, value_enum, default_value_t = SplitName::Test)]
-    pub(super) split: SplitName,
-
-    /// Also write the decoded motion
-    #[arg(long)]
-    pub(super) reconstruct: bool,
-}
-
-/// Measure how much a model is conditioned on the music: how much worse it predicts recordings with
-/// other music
-///
-/// Cross-entropy of a recording's codes with its own song, and the increase with the song of
-/// another recording, and with its own song one beat and half a bar early. Gaps of 0 mean that the
-/// model ignores the music.
-#[derive(Args, Debug)]
-pub(super) struct MusicGapArguments {
-    /// Model directory
-    #[arg(long, default_value = "models/default", value_name = "DIR")]
-    model_dir: PathBuf,
-
-    #[command(flatten)]
-    recordings: RecordingsArguments,
-
-    /// Print JSON
-    #[arg(long)]
-    pub(super) json: bool,
-}
-
-/// The recordings that a model predicts.
-#[derive(Args, Debug)]
-struct RecordingsArguments {
-    #[command(flatten)]
-    data: DataArguments,
-
-    /// Folder of the songs, where they are kept apart from the motions
-    #[arg(long, value_name = "DIR")]
-    audio: Option<PathBuf>,
-
-    /// Folder of music features [default: the user's cache]
-    #[arg(long, value_name = "DIR")]
-    cache: Option<PathBuf>,
-
-    /// Which recordings
-    #[arg(long, value_enum, default_value_t = SplitName::Test)]
-    split: SplitName,
-}
-
-/// Compare a quantised model with its original: equal codes and perplexity on recordings
-///
-/// Both predict the codes of the same recordings. scripts/compare-models.sh also compares generated
-/// motion.
-#[derive(Args, Debug)]
-pub(super) struct CompareArguments {
-    /// Model directory of the original
-    #[arg(value_name = "ORIGINAL")]
-    original: PathBuf,
-
-    /// Model directory of the other; both have one VQ-VAE
-    #[arg(value_name = "MODEL")]
-    model: PathBuf,
-
-    #[command(flatten)]
-    recordings: RecordingsArguments,
-
-    /// Print JSON
-    #[arg(long)]
-    pub(super) json: bool,
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(super) enum SplitName {
-    Train,
-    Test,
+    /// Measure how much a model is conditioned on the music: how much worse it predicts recordings
+    /// with other music
+    ///
+    /// Cross-entropy of a recording's codes with its own song, and the increase with the song of
+    /// another recording, and with its own song one beat and half a bar early. Gaps of 0 mean that
+    /// the model ignores the music.
+    MusicGap(ReportCommand<MusicGapOptions>),
+    /// Compare a quantised model with its original: equal codes and perplexity on recordings
+    ///
+    /// Both predict the codes of the same recordings. scripts/compare-models.sh also compares
+    /// generated motion.
+    Compare(ReportCommand<CompareOptions>),
+    /// Check a folder of training data before hours are spent on it.
+    ///
+    /// Reads every motion and every song and reports in plain words: missing files, lengths, units
+    /// (metres), axes (y up), bone lengths, frame rate (60 a second), jumps, left and right, the
+    /// floor, silence, beats, and whether anything of the test split is in the training split.
+    /// Three layouts are understood: a folder with index.json, the reference's JSON files, and
+    /// AIST++ .pkl motions.
+    ///
+    /// Exit code 0: training can start (there may be warnings); 1: something makes the data
+    /// unusable.
+    #[command(after_help = "Examples:
+  bailando-train check-data data/salsa
+  bailando-train check-data aist_plusplus_final --audio all_musics
+  bailando-train check-data data/mine --json > report.json")]
+    CheckData(ReportCommand<CheckOptions>),
 }
 
 /// A data folder, by its place or by its name.
@@ -161,11 +95,34 @@ struct DataArguments {
     data: Option<PathBuf>,
 }
 
-impl DataArguments {
+/// A command on a data folder.
+#[derive(Args, Debug)]
+pub(super) struct DataCommand<O: Args> {
+    #[command(flatten)]
+    options: O,
+
+    #[command(flatten)]
+    data: DataArguments,
+}
+
+impl<O: Args> DataCommand<O> {
+    /// Returns the folder and the options.
     #[expect(clippy::expect_used, reason = "clap requires one of them")]
-    fn folder(self) -> PathBuf {
-        self.folder.or(self.data).expect("a data folder")
+    pub(super) fn split(self) -> (PathBuf, O) {
+        let DataArguments { folder, data } = self.data;
+        (folder.or(data).expect("a data folder"), self.options)
     }
+}
+
+/// A command that reports on a data folder.
+#[derive(Args, Debug)]
+pub(super) struct ReportCommand<O: Args> {
+    #[command(flatten)]
+    pub(super) command: DataCommand<O>,
+
+    /// Print JSON
+    #[arg(long)]
+    pub(super) json: bool,
 }
 
 /// The settings of a run, and folders that the command line replaces.
@@ -337,40 +294,6 @@ pub(super) struct ImportArguments {
     pub(super) force: bool,
 }
 
-/// Check a folder of training data before hours are spent on it.
-///
-/// Reads every motion and every song and reports in plain words: missing files, lengths, units
-/// (metres), axes (y up), bone lengths, frame rate (60 a second), jumps, left and right, the floor,
-/// silence, beats, and whether anything of the test split is in the training split. Three layouts
-/// are understood: a folder with index.json, the reference's JSON files, and AIST++ .pkl motions.
-///
-/// Exit code 0: training can start (there may be warnings); 1: something makes the data unusable.
-#[derive(Args, Debug)]
-#[command(after_help = "Examples:
-  bailando-train check-data data/salsa
-  bailando-train check-data aist_plusplus_final --audio all_musics
-  bailando-train check-data data/mine --json > report.json")]
-pub(super) struct CheckArguments {
-    #[command(flatten)]
-    data: DataArguments,
-
-    /// Folder of the songs, where they are kept apart from the motions
-    #[arg(long, value_name = "DIR")]
-    pub(super) audio: Option<PathBuf>,
-
-    /// Decode only N songs, spread evenly [default: all]
-    #[arg(long, value_name = "N")]
-    pub(super) songs: Option<usize>,
-
-    /// Find the beats of N songs and compare them with the data's own
-    #[arg(long, default_value_t = CheckOptions::default().beats, value_name = "N")]
-    pub(super) beats: usize,
-
-    /// Print the whole report as JSON
-    #[arg(long)]
-    pub(super) json: bool,
-}
-
 /// Names of the feature profiles and of the ways to store weights, as in settings and manifests.
 const PROFILES: [&str; 2] = ["librosa-0.11", "librosa-0.8.1"];
 const WEIGHTS: [&str; 3] = ["f16", "f32", "int8"];
@@ -416,54 +339,6 @@ impl StageArguments {
     }
 }
 
-impl From<SplitName> for Split {
-    fn from(name: SplitName) -> Self {
-        match name {
-            SplitName::Train => Self::Train,
-            SplitName::Test => Self::Test,
-        }
-    }
-}
-
-impl From<MusicGapArguments> for MusicGapOptions {
-    fn from(arguments: MusicGapArguments) -> Self {
-        Self { model: arguments.model_dir, recordings: arguments.recordings.into() }
-    }
-}
-
-impl From<RecordingsArguments> for Recordings {
-    fn from(arguments: RecordingsArguments) -> Self {
-        Self {
-            data: arguments.data.folder(),
-            audio: arguments.audio,
-            cache: arguments.cache,
-            split: arguments.split.into(),
-        }
-    }
-}
-
-impl From<CompareArguments> for CompareOptions {
-    fn from(arguments: CompareArguments) -> Self {
-        Self {
-            original: arguments.original,
-            model: arguments.model,
-            recordings: arguments.recordings.into(),
-        }
-    }
-}
-
-impl From<EncodeArguments> for EncodeOptions {
-    fn from(arguments: EncodeArguments) -> Self {
-        Self {
-            model: arguments.model_dir,
-            data: arguments.data.folder(),
-            split: arguments.split.into(),
-            out: arguments.out,
-            reconstruct: arguments.reconstruct,
-        }
-    }
-}
-
 impl From<ImportArguments> for ImportOptions {
     fn from(arguments: ImportArguments) -> Self {
         Self {
@@ -492,17 +367,5 @@ impl From<ImportArguments> for ImportOptions {
                 training: BTreeMap::new(),
             },
         }
-    }
-}
-
-impl CheckArguments {
-    /// Returns the folder and the extent of the checks.
-    pub(super) fn split(self) -> (PathBuf, CheckOptions) {
-        let options = CheckOptions {
-            open: OpenOptions { audio: self.audio },
-            songs: self.songs,
-            beats: self.beats,
-        };
-        (self.data.folder(), options)
     }
 }

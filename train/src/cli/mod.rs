@@ -13,12 +13,12 @@ use serde::Serialize;
 
 pub use self::arguments::Arguments;
 use self::arguments::{
-    AdaptArguments, CheckArguments, Command, GenerateArguments, StageArguments, WholeArguments,
+    AdaptArguments, Command, GenerateArguments, ReportCommand, StageArguments, WholeArguments,
 };
 use crate::{
     compare::compare,
-    data::check::check,
-    encode::encode,
+    data::check::{CheckOptions, check},
+    encode::{EncodeOptions, encode},
     import::{ImportOptions, import},
     music_gap::music_gap,
     training::{
@@ -62,19 +62,22 @@ pub fn run(
             Ok(())
         }
         Command::Encode(arguments) => {
-            let out = arguments.out.clone();
-            let count = encode(&arguments.into())?;
-            writeln!(output, "wrote {count} recordings to {}", out.display())?;
+            let (data, options) = arguments.split();
+            let options = EncodeOptions { data, ..options };
+            let count = encode(&options)?;
+            writeln!(output, "wrote {count} recordings to {}", options.out.display())?;
             Ok(())
         }
         Command::Generate(arguments) => generate(&arguments, output),
-        Command::MusicGap(arguments) => {
-            let json = arguments.json;
-            print(&music_gap(&arguments.into())?, json, output)
+        Command::MusicGap(ReportCommand { command, json }) => {
+            let (data, mut options) = command.split();
+            options.recordings.data = data;
+            print(&music_gap(&options)?, json, output)
         }
-        Command::Compare(arguments) => {
-            let json = arguments.json;
-            print(&compare(&arguments.into())?, json, output)
+        Command::Compare(ReportCommand { command, json }) => {
+            let (data, mut options) = command.split();
+            options.recordings.data = data;
+            print(&compare(&options)?, json, output)
         }
         Command::CheckData(arguments) => check_data(arguments, output),
     }
@@ -170,16 +173,13 @@ fn try_it(model: &Path, output: &mut impl Write) -> io::Result<()> {
     writeln!(output, "try it: bailando serve --model-dir {model}")
 }
 
-fn check_data(arguments: CheckArguments, output: &mut impl Write) -> anyhow::Result<()> {
-    let json = arguments.json;
-    let (folder, options) = arguments.split();
+fn check_data(
+    arguments: ReportCommand<CheckOptions>,
+    output: &mut impl Write,
+) -> anyhow::Result<()> {
+    let (folder, options) = arguments.command.split();
     let report = check(&folder, &options)?;
-    if json {
-        serde_json::to_writer_pretty(&mut *output, &report)?;
-        writeln!(output)?;
-    } else {
-        write!(output, "{report}")?;
-    }
+    print(&report, arguments.json, output)?;
     if report.is_usable() {
         return Ok(());
     }

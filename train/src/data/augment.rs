@@ -1,9 +1,7 @@
-//! Augmentation as pure functions: mirror and start phase. Tempo variants and several songs for
-//! one dance come as pieces.
+//! Augmentation: mirror images and start phases. Tempo variants and several songs for one dance come
+//! as pieces.
 
-use bailando::motion::Positions;
-
-use super::{FRAMES_PER_CODE, JOINTS, Motion};
+use super::{FRAMES_PER_CODE, JOINTS};
 
 /// Start phases: cutting 0 to 7 frames moves every code boundary, cutting 8 repeats the first.
 pub const PHASES: usize = FRAMES_PER_CODE;
@@ -13,23 +11,13 @@ const OTHER_SIDE: [usize; JOINTS] =
     [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22];
 
 /// Mirrors a motion: x is negated, left and right joints change places.
-#[must_use]
-#[expect(clippy::expect_used, reason = "the mirror image has the shape of the motion")]
-pub fn mirrored(motion: &Motion) -> Motion {
+#[cfg(test)]
+pub(crate) fn mirrored(motion: &super::Motion) -> super::Motion {
     let source = motion.positions();
-    let mirrored = Positions::from_shape_fn(source.dim(), |(frame, joint, axis)| {
-        let other = OTHER_SIDE.get(joint).copied().unwrap_or(joint);
-        let value = source.get((frame, other, axis)).copied();
-        let value = value.expect("a value of the motion");
+    super::Motion::new(ndarray::Array3::from_shape_fn(source.dim(), |(frame, joint, axis)| {
+        let value = source[[frame, OTHER_SIDE[joint], axis]];
         if axis == 0 { -value } else { value }
-    });
-    Motion::new(mirrored)
-}
-
-/// The joint that takes the place of `joint` in a mirror.
-#[must_use]
-pub fn mirrored_joints() -> [usize; JOINTS] {
-    OTHER_SIDE
+    }))
 }
 
 /// Returns the source of a column of mirrored motion, and its factor. Columns are x, y, z of each
@@ -42,23 +30,15 @@ pub fn mirrored_column(column: usize) -> (usize, f32) {
     (3 * other + axis, if axis == 0 { -1.0 } else { 1.0 })
 }
 
-/// Removes the first `phase` frames of a motion.
-///
-/// Frame 0 is then `phase / 60` seconds into the song. Music rows come 7.5 times a second, so no
-/// row of the whole song lies beside the new frame 0: the song has to lose the same
-/// `phase / 60` seconds before its rows are computed ([`super::MusicLibrary::conditioning`] does,
-/// 64 samples per frame at 3,840 Hz, an exact number). At 60 rows a second a frame is one row.
-#[must_use]
-pub fn phase_cut(motion: &Motion, phase: usize) -> Motion {
-    motion.part(phase..motion.frames())
-}
-
 #[cfg(test)]
 mod tests {
     use bailando::motion::to_dancer_frame;
 
     use super::*;
-    use crate::{data::testing, export::skeleton};
+    use crate::{
+        data::{Motion, testing},
+        export::skeleton,
+    };
 
     #[test]
     fn sides_change_places_by_name() {
@@ -96,14 +76,5 @@ mod tests {
                 assert!((found - wanted).abs() < 1e-5, "{column}: {found} {wanted}");
             }
         }
-    }
-
-    #[test]
-    fn a_phase_moves_the_first_frame() {
-        let motion = Motion::new(testing::dance(&skeleton(0.9), 40, 1));
-        let cut = phase_cut(&motion, 3);
-        assert_eq!(cut.frames(), 37);
-        assert_eq!(cut.root_relative().row(0), motion.root_relative().row(3));
-        assert_eq!(phase_cut(&motion, 0), motion);
     }
 }

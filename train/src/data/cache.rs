@@ -18,7 +18,7 @@ use super::{DataError, files};
 
 /// Raise it whenever decoding, resampling or features give other numbers: older entries are then
 /// never asked for again.
-pub const FEATURE_VERSION: u32 = 1;
+const FEATURE_VERSION: u32 = 1;
 
 const MAGIC: &[u8; 8] = b"bdrows01";
 /// Magic, SHA-256 of the values, number of rows.
@@ -88,12 +88,6 @@ impl FeatureCache {
             Some(folder) => Self::open(folder),
             None => Self::open(&Self::default_folder()?),
         }
-    }
-
-    /// The folder.
-    #[must_use]
-    pub fn folder(&self) -> &Path {
-        &self.folder
     }
 
     /// The rows of `key`; none when they were never stored, or the entry is damaged.
@@ -171,7 +165,7 @@ mod tests {
         assert_eq!(cache.get(&key), None);
         cache.put(&key, &rows()).unwrap();
         assert_eq!(cache.get(&key), Some(rows()));
-        assert_eq!(fs::read_dir(cache.folder()).unwrap().count(), 1);
+        assert_eq!(fs::read_dir(&cache.folder).unwrap().count(), 1);
     }
 
     #[test]

@@ -6,9 +6,10 @@ use std::{
 };
 
 use bailando::motion::Skeleton;
+use clap::{Args, ValueEnum};
 
 /// Use of a piece.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, ValueEnum)]
 pub enum Split {
     /// For training.
     Train,
@@ -99,8 +100,6 @@ impl MusicSource {
 pub struct Piece {
     /// Name of the piece.
     pub id: String,
-    /// Kind of dance, where the data state it.
-    pub style: Option<String>,
     /// Use of the piece.
     pub split: Split,
     /// The motion.
@@ -131,9 +130,10 @@ pub struct Defect {
 }
 
 /// Facts that a folder does not hold.
-#[derive(Clone, Debug, Default)]
+#[derive(Args, Clone, Debug, Default)]
 pub struct OpenOptions {
-    /// Folder of audio files, for layouts that keep them apart.
+    /// Folder of the songs, where they are kept apart from the motions
+    #[arg(long, value_name = "DIR")]
     pub audio: Option<PathBuf>,
 }
 
@@ -147,24 +147,4 @@ pub struct Dataset {
     pub(super) defects: Vec<Defect>,
     /// Remarks of the reader, for `check-data`.
     pub(super) notes: Vec<String>,
-}
-
-impl Dataset {
-    /// Returns the folder.
-    #[must_use]
-    pub fn root(&self) -> &Path {
-        &self.root
-    }
-
-    /// Returns the layout of the folder.
-    #[must_use]
-    pub fn layout(&self) -> Layout {
-        self.layout
-    }
-
-    /// Returns the skeleton of the motions.
-    #[must_use]
-    pub fn skeleton(&self) -> &Skeleton {
-        &self.skeleton
-    }
 }

@@ -31,7 +31,6 @@ struct Index {
 #[derive(Debug, Deserialize)]
 struct Entry {
     id: String,
-    style: Option<String>,
     split: Option<String>,
     motion: Option<String>,
     audio: Option<String>,
@@ -110,7 +109,6 @@ fn piece(
         (None, None) => return Err("it names no motion file".into()),
     };
     Ok(Piece {
-        style: entry.style,
         split,
         motion: MotionSource::Npy(root.join(motion)),
         music: entry.audio.map(|audio| MusicSource::Audio(root.join(audio))),

@@ -111,7 +111,6 @@ pub(super) fn bare_piece(
 ) -> Piece {
     Piece {
         id,
-        style: None,
         split,
         motion,
         music,

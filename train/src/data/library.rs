@@ -14,7 +14,7 @@ use bailando::{
         BEAT_COLUMN, BeatPhase, Beats, COLUMNS, FeatureExtractor, HOP, Profile, Rate, with_counts,
     },
 };
-use ndarray::{Array2, Axis, Slice};
+use ndarray::Array2;
 
 use super::{DataError, FPS, FeatureCache, FeatureKey, MusicSource, files, json};
 
@@ -78,23 +78,18 @@ impl MusicLibrary {
         }
     }
 
-    /// `[T, 438]` at 60 rows a second, row 0 at frame `phase` of the dance. A frame is a row, so
-    /// the whole song's rows are cut: its beats stay where they are.
+    /// `[T, 438]` at 60 rows a second: a frame of the dance is a row.
     ///
     /// # Errors
     /// As [`MusicLibrary::conditioning`].
-    pub fn beats(&mut self, music: &MusicSource, phase: usize) -> Result<Array2<f32>, DataError> {
-        let rows = match music {
-            MusicSource::Audio(path) => self.one(path, Rate::Beats, 0)?,
+    pub fn beats(&mut self, music: &MusicSource) -> Result<Array2<f32>, DataError> {
+        match music {
+            MusicSource::Audio(path) => self.whole(path, Rate::Beats),
             MusicSource::DanceRows(path) | MusicSource::Rows(path) => match json::rows(path)? {
-                (rows, Rate::Beats) => rows,
-                _ => {
-                    return Err(stored(path, "music_array has 7.5 rows a second, beats need 60"));
-                }
+                (rows, Rate::Beats) => Ok(rows),
+                _ => Err(stored(path, "music_array has 7.5 rows a second, beats need 60")),
             },
-        };
-        let phase = phase.min(rows.nrows());
-        Ok(rows.slice_axis(Axis(0), Slice::from(phase..)).to_owned())
+        }
     }
 
     /// Returns [`MusicLibrary::conditioning`] of the first `count` start phases; decodes the song
@@ -113,7 +108,7 @@ impl MusicLibrary {
         }
     }
 
-    /// Conditioning rows of these start phases, with the columns of the count periods behind them.
+    /// Conditioning rows of these start phases, with the columns of the count periods after them.
     fn counted_rows(
         &mut self,
         path: &Path,
@@ -123,14 +118,14 @@ impl MusicLibrary {
         if self.count_periods.is_empty() {
             return Ok(all);
         }
-        let beats = self.one(path, Rate::Beats, 0)?;
+        let beats = self.whole(path, Rate::Beats)?;
         let beats = beats.column(BEAT_COLUMN).into_iter().enumerate();
         let beats = Beats {
             frames: beats.filter(|(_, beat)| **beat > 0.5).map(|(row, _)| row).collect(),
             ..Beats::default()
         };
         // Over the whole song, as in serving.
-        let whole = self.one(path, Rate::Conditioning, 0)?;
+        let whole = self.whole(path, Rate::Conditioning)?;
         let counts = BeatPhase::find(&beats, whole.view());
         let all = all.into_iter().zip(phases).map(|(rows, phase)| {
             let start_s = phase as f64 / FPS as f64;
@@ -139,8 +134,9 @@ impl MusicLibrary {
         Ok(all.collect())
     }
 
-    fn one(&mut self, path: &Path, rate: Rate, phase: usize) -> Result<Array2<f32>, DataError> {
-        let rows = self.computed_rows(path, rate, phase..phase + 1)?.pop();
+    /// Rows of the song from its start on.
+    fn whole(&mut self, path: &Path, rate: Rate) -> Result<Array2<f32>, DataError> {
+        let rows = self.computed_rows(path, rate, 0..1)?.pop();
         Ok(rows.unwrap_or_else(|| Array2::zeros((0, COLUMNS))))
     }
 

@@ -29,8 +29,10 @@ pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
 
-pub use augment::{PHASES, mirrored, mirrored_column, mirrored_joints, phase_cut};
-pub use cache::{FEATURE_VERSION, FeatureCache, FeatureKey};
+#[cfg(test)]
+pub(crate) use augment::mirrored;
+pub use augment::{PHASES, mirrored_column};
+pub use cache::{FeatureCache, FeatureKey};
 pub use crops::{Choice, CropPlan, Draw, common_frames, crop_starts, rows_beside};
 pub use dataset::{Dataset, Defect, Layout, MotionSource, MusicSource, OpenOptions, Piece, Split};
 pub use error::DataError;

@@ -1,9 +1,7 @@
 //! A motion as the networks take it (ARCHITECTURE section 1).
 
-use std::ops::Range;
-
 use bailando::motion::Positions;
-use ndarray::{Array2, Axis, Slice};
+use ndarray::{Array2, Axis};
 
 use super::JOINTS;
 
@@ -34,15 +32,6 @@ impl Motion {
     #[must_use]
     pub fn frames(&self) -> usize {
         self.positions.len_of(Axis(0))
-    }
-
-    /// Some frames of it; what lies outside is left out.
-    #[must_use]
-    pub fn part(&self, frames: Range<usize>) -> Self {
-        let end = frames.end.min(self.frames());
-        let start = frames.start.min(end);
-        let part = self.positions.slice_axis(Axis(0), Slice::from(start..end));
-        Self::new(part.to_owned())
     }
 
     /// `[T, 72]`, joint-major: every joint minus the pelvis of its frame; columns 0..3 are zero.
@@ -114,14 +103,6 @@ mod tests {
         let integrated = integrate_root(decoded.view(), start).unwrap();
         let worst = (&integrated - motion.positions()).mapv(f32::abs);
         assert!(worst.iter().all(|&difference| difference < 1e-5));
-    }
-
-    #[test]
-    fn a_part_never_reaches_outside() {
-        let motion = wave(10);
-        assert_eq!(motion.part(4..8).frames(), 4);
-        assert_eq!(motion.part(8..20).frames(), 2);
-        assert_eq!(motion.part(12..20).frames(), 0);
-        assert_eq!(motion.part(0..1).root_velocity().dim(), (1, 3));
+        assert_eq!(wave(1).root_velocity().dim(), (1, 3));
     }
 }

@@ -47,7 +47,6 @@ pub struct Portion<S> {
 #[derive(Clone, Debug)]
 pub struct Recording<S> {
     source: MotionSource,
-    style: Option<String>,
     songs: Vec<Song>,
     split: PhantomData<S>,
 }
@@ -71,7 +70,6 @@ impl<S: SplitKind> Portion<S> {
         for piece in dataset.pieces.iter().filter(|piece| piece.split == S::SPLIT) {
             let dance = recordings.entry(&piece.motion).or_insert_with(|| Recording {
                 source: piece.motion.clone(),
-                style: piece.style.clone(),
                 songs: Vec::new(),
                 split: PhantomData,
             });
@@ -102,15 +100,6 @@ impl<S: SplitKind> Portion<S> {
     pub fn skeleton(&self) -> &Skeleton {
         &self.skeleton
     }
-
-    /// Reads every motion, in the order of [`Portion::recordings`].
-    ///
-    /// # Errors
-    /// [`DataError`] of the first that cannot be read.
-    pub fn motions(&self) -> Result<Vec<Motion>, DataError> {
-        let motions = self.recordings.iter().map(|dance| dance.motion(&self.skeleton));
-        motions.collect()
-    }
 }
 
 impl<S> Recording<S> {
@@ -118,12 +107,6 @@ impl<S> Recording<S> {
     #[must_use]
     pub fn source(&self) -> &MotionSource {
         &self.source
-    }
-
-    /// Returns the kind of dance, where the data state it.
-    #[must_use]
-    pub fn style(&self) -> Option<&str> {
-        self.style.as_deref()
     }
 
     /// Returns the songs that go with it, one per piece.
@@ -146,12 +129,5 @@ impl<S> Recording<S> {
     /// [`DataError`] names the file and what is wrong with it.
     pub fn motion(&self, skeleton: &Skeleton) -> Result<Motion, DataError> {
         self.source.load(skeleton)
-    }
-
-    /// Whether all of its songs can start anywhere ([`MusicSource::can_shift`]).
-    #[must_use]
-    pub fn can_shift(&self) -> bool {
-        let shiftable = |song: &Song| song.music.as_ref().is_none_or(MusicSource::can_shift);
-        self.songs.iter().all(shiftable)
     }
 }

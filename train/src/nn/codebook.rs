@@ -84,6 +84,13 @@ impl<B: Backend> Codebook<B> {
         self.entries.clone().select(0, indices)
     }
 
+    /// Returns the nearest entry of each of `[batch, codes, channels]` vectors, in their place.
+    pub fn quantised(&self, vectors: Tensor<B, 3>) -> Tensor<B, 3> {
+        let [batch, codes, channels] = vectors.dims();
+        let indices = self.nearest(vectors.reshape([batch * codes, channels]));
+        self.lookup(indices).reshape([batch, codes, channels])
+    }
+
     /// Moves the averages towards a batch, then replaces entries whose count fell below
     /// `restart_below` by vectors of the batch. Returns how many were replaced, `[1]`.
     ///
@@ -97,9 +104,9 @@ impl<B: Backend> Codebook<B> {
     ) -> Tensor<B, 1> {
         let codes = self.codes();
         let assigned = self.one_hot(indices);
-        let keep = settings.decay;
+        let decay = settings.decay;
         let average = |old: Tensor<B, 2>, new: Tensor<B, 2>| {
-            old.mul_scalar(keep) + new.mul_scalar(1.0 - keep)
+            old.mul_scalar(decay) + new.mul_scalar(1.0 - decay)
         };
         let counts = assigned.clone().sum_dim(0).reshape([codes, 1]);
         let sums = assigned.transpose().matmul(vectors.clone());

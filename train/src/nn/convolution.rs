@@ -1,11 +1,9 @@
 //! Convolutions along time and residual blocks of them, channels last.
 
+use bailando_kernels::{Convolution as Plan, Kernels, Kind};
 use burn_tensor::Tensor;
 
-use super::{
-    kernels::{Convolution as Plan, Kernels, Kind},
-    parameters::{Parameters, Slot, Store},
-};
+use super::parameters::{Parameters, Slot, Store};
 use crate::{HostTensor, weights::Convolution};
 
 #[derive(Clone, Debug)]
@@ -47,8 +45,7 @@ impl ConvolutionNet {
         parameters: &Parameters<B>,
         input: Tensor<B, 3>,
     ) -> Tensor<B, 3> {
-        let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
-        B::convolve(self.plan, input, weight, bias)
+        B::convolve(self.plan, parameters.affine(input, self.weight, self.bias))
     }
 
     /// Runs the convolution on `relu(input)`.
@@ -58,8 +55,7 @@ impl ConvolutionNet {
         input: Tensor<B, 3>,
     ) -> Tensor<B, 3> {
         let plan = Plan { rectified: true, ..self.plan };
-        let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
-        B::convolve(plan, input, weight, bias)
+        B::convolve(plan, parameters.affine(input, self.weight, self.bias))
     }
 }
 

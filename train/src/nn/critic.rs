@@ -1,9 +1,9 @@
 //! The critic (ARCHITECTURE section 3, paper `f_v`): the reward still to come in a state.
 
+use bailando_kernels::Kernels;
 use burn_tensor::Tensor;
 
 use super::{
-    kernels::Kernels,
     parameters::{Parameters, Slot, Store},
     transformer::{Attention, BlockNet, NormNet, STREAMS, View, multiplied},
 };

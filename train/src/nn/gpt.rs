@@ -1,9 +1,9 @@
 //! The motion GPT (ARCHITECTURE section 3): state network and policy.
 
+use bailando_kernels::Kernels;
 use burn_tensor::{Int, Tensor, backend::Backend};
 
 use super::{
-    kernels::Kernels,
     parameters::{Parameters, Slot, Store},
     transformer::{
         self, Attention, BlockNet, KeysAndValues, LinearNet, NormNet, STREAMS, View, multiplied,

@@ -11,20 +11,16 @@ mod critic;
 mod gpt;
 mod host;
 mod initial;
-mod kernels;
 mod parameters;
 mod range_observer;
 mod transformer;
 mod vqvae;
 
+pub(crate) use bailando_kernels::{Descent, Kernels, Trainable};
 pub use codebook::{Codebook, MovingAverage};
 pub use critic::CriticNet;
 pub use gpt::{GptNet, KvCache, Logits};
 pub(crate) use host::{codes, gathered, numbers, values};
 pub use initial::{GptSizes, VqVaeSizes, random_critic, random_gpt, random_vqvae};
-pub use kernels::{
-    AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kernels, Kind, Queries,
-    Trainable,
-};
 pub use parameters::{Parameters, Store};
 pub use vqvae::{DecoderNet, EncoderNet, HalfNet};

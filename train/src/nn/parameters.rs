@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use bailando_kernels::Affine;
 use burn_tensor::{Tensor, TensorData, backend::AutodiffBackend, backend::Backend};
 
 use super::{host::values, range_observer::RangeObserver};
@@ -151,9 +152,10 @@ impl<B: Backend> Parameters<B> {
         &mut self.tensors
     }
 
-    /// Returns one flat tensor.
-    pub(super) fn flat(&self, slot: Slot) -> Tensor<B, 1> {
-        self.tensors[slot.0].clone()
+    /// Returns what an affine operation takes.
+    pub(super) fn affine(&self, input: Tensor<B, 3>, weight: Slot, bias: Slot) -> Affine<B> {
+        let [weight, bias] = [weight, bias].map(|slot| self.tensors[slot.0].clone());
+        Affine { input, weight, bias }
     }
 
     /// Returns a tensor as a matrix with as many columns as its last dimension.

@@ -1,15 +1,13 @@
 //! Blocks of the motion GPT: attention across the three streams, perceptron, normalisation
 //! (ARCHITECTURE section 3).
 
+use bailando_kernels::{AttentionInputs, Convolution, Kernels, Kind, Queries};
 use burn_tensor::{Bool, Int, Tensor, TensorData, activation::softmax, backend::Backend};
 
-use super::{
-    kernels::{Convolution, Heads, Kernels, Kind, Queries},
-    parameters::{Parameters, Slot, Store},
-};
+use super::parameters::{Parameters, Slot, Store};
 use crate::weights::{Block, LayerNorm, Linear};
 
-/// Music, upper and lower tokens lie behind one another.
+/// Music, upper and lower tokens lie one after the other.
 pub(super) const STREAMS: usize = 3;
 
 /// Which streams a stream's positions see, up to their own step.
@@ -193,8 +191,8 @@ impl BlockNet {
             let like = Tensor::empty([batch, context.heads, length, length], &input.device());
             B::kept(&like, context.dropout)
         });
-        let heads = Heads { count: context.heads };
-        let mixed = B::attend(heads, queries, context.mask.clone(), kept);
+        let (heads, forbidden) = (context.heads, context.mask.clone());
+        let mixed = B::attend(AttentionInputs { heads, queries, forbidden, kept });
         self.projection.forward(parameters, mixed)
     }
 }
@@ -234,8 +232,7 @@ impl LinearNet {
             outputs: self.outputs,
         };
         parameters.observe(self.weight, &input);
-        let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
-        B::convolve(plan, input, weight, bias)
+        B::convolve(plan, parameters.affine(input, self.weight, self.bias))
     }
 }
 
@@ -262,8 +259,7 @@ impl NormNet {
         parameters: &Parameters<B>,
         input: Tensor<B, 3>,
     ) -> Tensor<B, 3> {
-        let (weight, bias) = (parameters.flat(self.weight), parameters.flat(self.bias));
-        B::normalise(input, weight, bias)
+        B::normalise(parameters.affine(input, self.weight, self.bias))
     }
 }
 

@@ -1,10 +1,10 @@
 //! Encoder, decoder and half of the pose VQ-VAE (ARCHITECTURE section 2).
 
+use bailando_kernels::{Kernels, Kind};
 use burn_tensor::{Int, Tensor};
 
 use super::{
     convolution::{ConvolutionNet, ResidualNet},
-    kernels::{Kernels, Kind},
     parameters::{Parameters, Store},
 };
 use crate::weights::{

@@ -53,7 +53,7 @@ pub fn decoder_graph(
     graph.finish()
 }
 
-/// Where each motion column is found behind one another in root, lower and upper columns.
+/// Where each motion column is found in turn among root, lower and upper columns.
 fn column_order(root_columns: usize) -> Vec<i64> {
     let (upper, lower) = HALF_JOINTS;
     let mut order = vec![0; COORDINATES * (upper.len() + lower.len())];

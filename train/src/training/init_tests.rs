@@ -11,7 +11,7 @@ use ndarray::Array2;
 
 use super::{
     checkpoint::Checkpoint,
-    config::Hear,
+    config::MusicColumns,
     frozen::Halves,
     gpt::Start,
     kept::WEIGHT,
@@ -125,8 +125,9 @@ fn a_gpt_starts_from_another_run_with_the_same_columns() {
         assert!(matches!(refused, TrainError::State { .. }), "{refused}");
         assert!(refused.to_string().contains(setting), "{refused}");
     };
-    config.gpt.hear = Hear::Rhythm;
+    config.gpt.music_columns = MusicColumns::Rhythm;
     says(&config, "gpt.hear");
-    (config.gpt.hear, config.gpt.standardise_music) = (Hear::All, false);
+    config.gpt.music_columns = MusicColumns::All;
+    config.gpt.standardise_music = false;
     says(&config, "gpt.standardise_music");
 }

@@ -5,7 +5,7 @@ use ndarray::ArrayView1;
 
 use super::{
     checkpoint::Checkpoint,
-    config::{GptConfig, Hear},
+    config::{GptConfig, MusicColumns},
     input::Motions,
 };
 use crate::{HostTensor, data::Training, weights::Linear};
@@ -34,7 +34,7 @@ impl MusicScale {
         if config.standardise_music {
             scale.standardise(motions);
         }
-        scale.mute(|column| is_muted(config.hear, column));
+        scale.mute(|column| is_muted(config.music_columns, column));
         scale
     }
 
@@ -56,7 +56,7 @@ impl MusicScale {
     pub(super) fn restore_for(config: &GptConfig, checkpoint: &Checkpoint) -> Result<Self, String> {
         let scale = Self::restore(checkpoint)?;
         let muted = scale.spread.iter().map(|&spread| spread == MUTED);
-        let wanted = (0..scale.spread.len()).map(|column| is_muted(config.hear, column));
+        let wanted = (0..scale.spread.len()).map(|column| is_muted(config.music_columns, column));
         if !muted.eq(wanted) {
             return Err(other_scale("hear"));
         }
@@ -145,10 +145,10 @@ impl MusicScale {
 }
 
 /// Whether a column of the music is left out. The places within a count come after the features.
-fn is_muted(hear: Hear, column: usize) -> bool {
-    match hear {
-        Hear::All => false,
-        Hear::Rhythm => column < COLUMNS && ![ONSET_COLUMN, BEAT_COLUMN].contains(&column),
+fn is_muted(columns: MusicColumns, column: usize) -> bool {
+    match columns {
+        MusicColumns::All => false,
+        MusicColumns::Rhythm => column < COLUMNS && ![ONSET_COLUMN, BEAT_COLUMN].contains(&column),
     }
 }
 
@@ -216,7 +216,7 @@ mod tests {
         assert_eq!(restored(&config, &scaled).unwrap().mean, [3.0, 0.0]);
         assert!(restored(&config, &plain).is_err());
 
-        config.hear = Hear::Rhythm;
+        config.music_columns = MusicColumns::Rhythm;
         let refused = restored(&config, &scaled).unwrap_err();
         assert!(refused.contains("gpt.hear"), "{refused}");
         assert!(restored(&config, &checkpoint([MUTED; 2], [3.0, 0.0])).is_ok());

@@ -265,8 +265,8 @@ fn without_a_test_split_the_last_weights_are_used() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(folder.path());
     config.vqvae.checkpoint_policy = CheckpointPolicy::Best;
-    let work = Walk { no_test_split: true, ..Walk::default() };
-    walk(&config, work, None).unwrap();
+    let walked = Walk { no_test_split: true, ..Walk::default() };
+    walk(&config, walked, None).unwrap();
     assert!(tests(&config).iter().all(|(_, loss, place)| loss.is_empty() && place.is_empty()));
     let path = kept_path(&config, Stage::VqVae).unwrap();
     assert_eq!(path, checkpoint_path(&config.run, "vqvae"));

@@ -33,7 +33,7 @@ impl Song {
     ) -> Result<Self, DataError> {
         let rows = library.conditioning(music, 0)?;
         let beats = if told.is_empty() {
-            let beats = library.beats(music, 0)?;
+            let beats = library.beats(music)?;
             let beats = beats.column(BEAT_COLUMN);
             beats.into_iter().map(|&beat| beat > 0.5).collect()
         } else {

@@ -33,9 +33,9 @@ pub(super) type ShiftedCodes = [Vec<i32>; 2];
 impl TimeShiftAugmentation {
     /// Takes the settings; `None` where no window is shifted.
     pub(super) fn new(config: &GptConfig) -> Option<Self> {
-        (config.slip_share > 0.0).then_some(Self {
-            share: config.slip_share,
-            frames: config.slip_frames,
+        (config.shift_share > 0.0).then_some(Self {
+            share: config.shift_share,
+            frames: config.shift_frames,
             block: config.block,
         })
     }

@@ -103,10 +103,7 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
         let net = &frozen.halves.nets[half];
         let mut entries = net.encoder.forward(&frozen.parameters, motion.clone());
         if !self.config.ablation.continuous {
-            let codebook = &frozen.codebooks[half];
-            let [windows, codes, channels] = entries.dims();
-            let nearest = codebook.nearest(entries.reshape([windows * codes, channels]));
-            entries = codebook.lookup(nearest).reshape([windows, codes, channels]);
+            entries = frozen.codebooks[half].quantised(entries);
         }
         Examples { entries, target: motion }
     }

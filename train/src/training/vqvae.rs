@@ -157,12 +157,9 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
             motion_columns::<A::InnerBackend>(pieces, crops, frames, columns, &self.device);
         let net = &self.nets[half];
         let encoded = net.encoder.forward(parameters, target.clone());
-        let [batch, codes, channels] = encoded.dims();
-        let quantised = if self.config.ablation.continuous {
-            encoded.clone()
-        } else {
-            let indices = codebook.nearest(encoded.clone().reshape([batch * codes, channels]));
-            codebook.lookup(indices).reshape([batch, codes, channels])
+        let quantised = match self.config.ablation.continuous {
+            true => encoded.clone(),
+            false => codebook.quantised(encoded.clone()),
         };
         let error = net.decoder.forward(parameters, quantised.clone()) - target;
         let [loss, position, ..] = self.losses(error, encoded - quantised);

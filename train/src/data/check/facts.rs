@@ -1,6 +1,7 @@
 //! Measures of a motion, without judgement.
 
 use bailando::motion::{Positions, Skeleton};
+use glam::DVec3;
 use ndarray::ArrayView2;
 
 use crate::data::FPS;
@@ -14,8 +15,6 @@ const HEAD: usize = 15;
 /// One frame's measures come from every n-th frame: enough for means, and fast on long motions.
 const SPARSE: usize = 4;
 
-type Vector = [f64; 3];
-
 /// A motion in numbers. Lengths are in the file's own unit until `scale` says which.
 #[derive(Clone, Debug)]
 pub(super) struct MotionFacts {
@@ -25,7 +24,7 @@ pub(super) struct MotionFacts {
     /// Median over the bones of mean length by expected length: 1 for metres.
     pub(super) scale: f64,
     /// Mean direction from feet to head, length up to 1.
-    pub(super) up: Vector,
+    pub(super) up: DVec3,
     /// Share of frames in which the left hip lies right of where the feet point.
     pub(super) swapped: f64,
     /// Largest change of a bone's length along time, by its mean, and the bone's joint.
@@ -53,7 +52,7 @@ pub(super) fn measure(positions: &Positions, skeleton: &Skeleton) -> MotionFacts
         frames,
         not_finite,
         scale: 1.0,
-        up: [0.0, 1.0, 0.0],
+        up: DVec3::Y,
         swapped: 0.0,
         bone_change: (0.0, 0),
         bone_difference: (0.0, 0),
@@ -82,10 +81,10 @@ impl MotionFacts {
             let lengths: Vec<f64> = positions
                 .outer_iter()
                 .step_by(SPARSE)
-                .map(|pose| length(difference(at(pose, joint), at(pose, parent))))
+                .map(|pose| at(pose, joint).distance(at(pose, parent)))
                 .collect();
             let mean = lengths.iter().sum::<f64>() / lengths.len() as f64;
-            let expected = length(offset.map(f64::from));
+            let expected = DVec3::from(offset.map(f64::from)).length();
             let change = lengths.iter().map(|length| (length - mean).abs());
             let change = change.fold(0.0, f64::max) / mean.max(1e-9);
             if change > self.bone_change.0 {
@@ -103,22 +102,20 @@ impl MotionFacts {
     }
 
     fn measure_posture(&mut self, positions: &Positions) {
-        let (mut up, mut swapped, mut count) = ([0.0; 3], 0.0, 0.0);
+        let (mut up, mut swapped, mut count) = (DVec3::ZERO, 0.0, 0.0);
         for pose in positions.outer_iter().step_by(SPARSE) {
             let ankles = middle(pose, ANKLES);
-            let body = difference(at(pose, HEAD), ankles);
-            for (sum, value) in up.iter_mut().zip(body) {
-                *sum += value / length(body).max(1e-9);
-            }
-            let forward = difference(middle(pose, FEET), ankles);
+            let body = at(pose, HEAD) - ankles;
+            up += body / body.length().max(1e-9);
+            let forward = middle(pose, FEET) - ankles;
             let [left, right] = HIPS.map(|hip| at(pose, hip));
-            // y up and facing +z the left side is at +x: left = up x forward.
-            if dot(cross(body, forward), difference(left, right)) < 0.0 {
+            // y up and heading +z the left side is at +x: left = up x forward.
+            if body.cross(forward).dot(left - right) < 0.0 {
                 swapped += 1.0;
             }
             count += 1.0;
         }
-        self.up = up.map(|sum| sum / count);
+        self.up = up / count;
         self.swapped = swapped / count;
     }
 
@@ -129,7 +126,7 @@ impl MotionFacts {
         for (before, (frame, now)) in positions.outer_iter().zip(later) {
             let mut moved = false;
             for joint in 0..joints {
-                let step = length(difference(at(now, joint), at(before, joint)));
+                let step = at(now, joint).distance(at(before, joint));
                 let speed = step * FPS as f64;
                 sum += speed;
                 moved |= step > 0.0;
@@ -150,7 +147,7 @@ impl MotionFacts {
 
 fn floor(positions: &Positions) -> f64 {
     let lower = positions.outer_iter().map(|pose| {
-        let [left, right] = FEET.map(|foot| at(pose, foot)[1]);
+        let [left, right] = FEET.map(|foot| at(pose, foot).y);
         left.min(right)
     });
     let mut heights: Vec<f64> = lower.collect();
@@ -158,29 +155,13 @@ fn floor(positions: &Positions) -> f64 {
     heights.get(heights.len() / 20).copied().unwrap_or(0.0)
 }
 
-fn at(pose: ArrayView2<'_, f32>, joint: usize) -> Vector {
-    [0, 1, 2].map(|axis| pose.get((joint, axis)).map_or(0.0, |&value| f64::from(value)))
+fn at(pose: ArrayView2<'_, f32>, joint: usize) -> DVec3 {
+    let axis = |axis| pose.get((joint, axis)).map_or(0.0, |&value| f64::from(value));
+    DVec3::new(axis(0), axis(1), axis(2))
 }
 
-fn middle(pose: ArrayView2<'_, f32>, joints: [usize; 2]) -> Vector {
-    let [a, b] = joints.map(|joint| at(pose, joint));
-    [(a[0] + b[0]) / 2.0, (a[1] + b[1]) / 2.0, (a[2] + b[2]) / 2.0]
-}
-
-fn difference(a: Vector, b: Vector) -> Vector {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn dot(a: Vector, b: Vector) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: Vector, b: Vector) -> Vector {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn length(vector: Vector) -> f64 {
-    dot(vector, vector).sqrt()
+fn middle(pose: ArrayView2<'_, f32>, [a, b]: [usize; 2]) -> DVec3 {
+    (at(pose, a) + at(pose, b)) / 2.0
 }
 
 pub(super) fn median(values: &mut [f64]) -> f64 {

@@ -1,6 +1,7 @@
 //! Judging motions: units, axes, frame rate, sides, bones, jumps, floor.
 
 use bailando::motion::Skeleton;
+use glam::DVec3;
 
 use super::{
     facts::{MotionFacts, measure},
@@ -89,7 +90,7 @@ fn declared(facts: &MotionFacts, pieces: &[&Piece], name: &str, findings: &mut F
 }
 
 fn judge(facts: &MotionFacts, skeleton: &Skeleton, name: &str, findings: &mut Findings) {
-    // Each of these makes the measures behind it meaningless: one finding, not five.
+    // Each of these makes the measures after it meaningless: one finding, not five.
     if !PERSON.contains(&facts.scale) {
         findings.add(Topic::Units, format!("{name}: {}", unit(facts.scale)));
         return;
@@ -104,7 +105,7 @@ fn judge(facts: &MotionFacts, skeleton: &Skeleton, name: &str, findings: &mut Fi
         );
         return;
     }
-    if facts.up[1] < UPRIGHT {
+    if facts.up.y < UPRIGHT {
         findings.add(Topic::Axes, format!("{name}: {}", direction(facts.up)));
         return;
     }
@@ -186,18 +187,11 @@ fn unit(scale: f64) -> String {
     }
 }
 
-fn direction(up: [f64; 3]) -> String {
-    let mut strongest = (0, 0.0_f64);
-    for (axis, &value) in up.iter().enumerate() {
-        if value.abs() > strongest.1.abs() {
-            strongest = (axis, value);
-        }
-    }
-    let (axis, value) = strongest;
-    if value.abs() < UPRIGHT {
+fn direction(up: DVec3) -> String {
+    let axis = up.abs().max_position();
+    if up[axis].abs() < UPRIGHT {
         return "the figure lies, rolls or turns over most of the time".into();
     }
-    let sign = if value > 0.0 { '+' } else { '-' };
-    let axis = ["x", "y", "z"].get(axis).copied().unwrap_or("?");
-    format!("from feet to head is {sign}{axis}")
+    let sign = if up[axis] > 0.0 { '+' } else { '-' };
+    format!("from feet to head is {sign}{}", ["x", "y", "z"][axis])
 }

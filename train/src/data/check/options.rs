@@ -1,15 +1,20 @@
 //! Extent of the checks.
 
+use clap::Args;
+
 use crate::data::OpenOptions;
 
 /// Extent of the checks.
-#[derive(Clone, Debug)]
+#[derive(Args, Clone, Debug)]
 pub struct CheckOptions {
     /// Facts that the folder does not hold.
+    #[command(flatten)]
     pub open: OpenOptions,
-    /// Songs that are decoded, spread evenly; all without a number.
+    /// Decode only N songs, spread evenly [default: all]
+    #[arg(long, value_name = "N")]
     pub songs: Option<usize>,
-    /// Of these, songs whose beats are compared with the grid.
+    /// Find the beats of N songs and compare them with the data's own
+    #[arg(long, default_value_t = Self::default().beats, value_name = "N")]
     pub beats: usize,
 }
 

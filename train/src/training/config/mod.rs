@@ -13,7 +13,9 @@ pub use self::{
 };
 pub(super) use self::{
     export::ExportConfig,
-    stages::{ActorCriticConfig, AdaptConfig, GptConfig, Hear, VelocityConfig, VqVaeConfig},
+    stages::{
+        ActorCriticConfig, AdaptConfig, GptConfig, MusicColumns, VelocityConfig, VqVaeConfig,
+    },
 };
 use super::error::TrainError;
 use crate::data::{JOINTS, PHASES};
@@ -161,7 +163,7 @@ impl Config {
         within("adapt.", self.adapt.check())?;
         within("export.", self.export.check())?;
         within("ablation: ", self.ablation.check(self.actor_critic.enabled))?;
-        if self.ablation.continuous && self.gpt.code_noise + self.gpt.slip_share > 0.0 {
+        if self.ablation.continuous && self.gpt.code_noise + self.gpt.shift_share > 0.0 {
             return Err(
                 "gpt.code_noise, gpt.slip_share: with ablation.continuous there are no codes"
                     .into(),

@@ -102,11 +102,14 @@ pub struct GptConfig {
     pub phases: usize,
     pub dropout: f64,
     pub code_noise: f64,
-    pub slip_share: f64,
-    pub slip_frames: usize,
+    #[serde(rename = "slip_share")]
+    pub shift_share: f64,
+    #[serde(rename = "slip_frames")]
+    pub shift_frames: usize,
     pub quantise_frames: usize,
     pub trim_still: bool,
-    pub hear: Hear,
+    #[serde(rename = "hear")]
+    pub music_columns: MusicColumns,
     pub standardise_music: bool,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
@@ -132,8 +135,8 @@ impl GptConfig {
         }
         let shares = [("dropout", self.dropout), ("code_noise", self.code_noise)];
         within_range(shares, 0.0..1.0, "0..1")?;
-        within_range([("slip_share", self.slip_share)], 0.0..=1.0, "0..=1")?;
-        if self.slip_share > 0.0 && self.slip_frames == 0 {
+        within_range([("slip_share", self.shift_share)], 0.0..=1.0, "0..=1")?;
+        if self.shift_share > 0.0 && self.shift_frames == 0 {
             return Err("slip_frames must be at least 1 where slip_share is not 0".into());
         }
         Ok(())
@@ -143,7 +146,7 @@ impl GptConfig {
 /// Which music columns the GPT is given.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Hear {
+pub enum MusicColumns {
     /// All, as published.
     All,
     /// Onsets, beats and counts. Timbre and harmony identify the few training songs, and a new

@@ -4,10 +4,8 @@ use burn_flex::{Flex, FlexTensor};
 use burn_tensor::{Tensor, TensorPrimitive};
 use rayon::prelude::*;
 
-use super::{
-    super::Descent,
-    memory::{host, values},
-};
+use super::memory::{host, values};
+use crate::Descent;
 
 /// Values that one thread takes at a time.
 const PART: usize = 16_384;

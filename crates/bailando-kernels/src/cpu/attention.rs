@@ -1,19 +1,19 @@
 //! Attention: one thread computes all heads of a piece.
 
 use burn_flex::Flex;
-use burn_tensor::{Bool, Tensor};
+use burn_tensor::Tensor;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, Slice, linalg::general_mat_mul};
 use rayon::prelude::*;
 
 use super::{
-    super::{AttentionGradients, Heads, Queries},
     elementwise::exp,
     memory::{host, tensor, values},
 };
+use crate::{AttentionInputs, Queries};
 
 /// One piece, `[length, channels]` each, and what its heads have in common.
 struct Piece<'a> {
-    heads: Heads,
+    heads: usize,
     query: ArrayView2<'a, f32>,
     key: ArrayView2<'a, f32>,
     value: ArrayView2<'a, f32>,
@@ -24,12 +24,12 @@ struct Piece<'a> {
 
 impl Piece<'_> {
     fn columns(&self, head: usize) -> Slice {
-        let size = self.query.ncols() / self.heads.count.max(1);
+        let size = self.query.ncols() / self.heads.max(1);
         Slice::from(head * size..(head + 1) * size)
     }
 
     fn scale(&self) -> f32 {
-        let size = self.query.ncols() / self.heads.count.max(1);
+        let size = self.query.ncols() / self.heads.max(1);
         1.0 / (size as f32).sqrt()
     }
 
@@ -68,7 +68,7 @@ impl Piece<'_> {
     }
 
     fn forward(&self, mut output: ArrayViewMut2<'_, f32>) {
-        for head in 0..self.heads.count {
+        for head in 0..self.heads {
             let mut shares = self.shares(head);
             self.drop(head, &mut shares);
             let value = self.value.slice_axis(Axis(1), self.columns(head));
@@ -79,7 +79,7 @@ impl Piece<'_> {
 
     fn backward(&self, outer: ArrayView2<'_, f32>, by: [ArrayViewMut2<'_, f32>; 3]) {
         let [mut by_query, mut by_key, mut by_value] = by;
-        for head in 0..self.heads.count {
+        for head in 0..self.heads {
             let columns = self.columns(head);
             let shares = self.shares(head);
             let outer = outer.slice_axis(Axis(1), columns);
@@ -122,7 +122,7 @@ fn soften(row: &mut [f32], forbidden: &[bool]) {
 
 /// All pieces of a batch.
 struct Batch {
-    heads: Heads,
+    heads: usize,
     length: usize,
     channels: usize,
     parts: [burn_flex::FlexTensor; 3],
@@ -131,12 +131,7 @@ struct Batch {
 }
 
 impl Batch {
-    fn new(
-        heads: Heads,
-        queries: Queries<Flex>,
-        forbidden: Tensor<Flex, 2, Bool>,
-        kept: Option<Tensor<Flex, 4>>,
-    ) -> Self {
+    fn new(AttentionInputs { heads, queries, forbidden, kept }: AttentionInputs<Flex>) -> Self {
         let [_, length, channels] = queries.query.dims();
         Self {
             heads,
@@ -158,7 +153,7 @@ impl Batch {
             let values = values.get(index * self.size()..(index + 1) * self.size())?;
             ArrayView2::from_shape((self.length, self.channels), values).ok()
         };
-        let factors = self.heads.count * self.length * self.length;
+        let factors = self.heads * self.length * self.length;
         Some(Piece {
             heads: self.heads,
             query: view(0)?,
@@ -173,14 +168,9 @@ impl Batch {
     }
 }
 
-pub(super) fn attend(
-    heads: Heads,
-    queries: Queries<Flex>,
-    forbidden: Tensor<Flex, 2, Bool>,
-    kept: Option<Tensor<Flex, 4>>,
-) -> Tensor<Flex, 3> {
-    let shape = queries.query.dims();
-    let batch = Batch::new(heads, queries, forbidden, kept);
+pub(super) fn attend(inputs: AttentionInputs<Flex>) -> Tensor<Flex, 3> {
+    let shape = inputs.queries.query.dims();
+    let batch = Batch::new(inputs);
     let mut output = vec![0.0; shape.iter().product()];
     let pieces = output.par_chunks_mut(batch.size().max(1)).enumerate();
     pieces.for_each(|(index, output)| {
@@ -193,14 +183,11 @@ pub(super) fn attend(
 }
 
 pub(super) fn attend_backward(
-    heads: Heads,
-    queries: Queries<Flex>,
-    forbidden: Tensor<Flex, 2, Bool>,
-    kept: Option<Tensor<Flex, 4>>,
+    inputs: AttentionInputs<Flex>,
     outer: Tensor<Flex, 3>,
-) -> AttentionGradients<Flex> {
-    let shape = queries.query.dims();
-    let batch = Batch::new(heads, queries, forbidden, kept);
+) -> Queries<Flex> {
+    let shape = inputs.queries.query.dims();
+    let batch = Batch::new(inputs);
     let outer = host(outer);
     let [mut query, mut key, mut value] = [(); 3].map(|()| vec![0.0; shape.iter().product()]);
     let size = batch.size().max(1);
@@ -220,9 +207,5 @@ pub(super) fn attend_backward(
                 piece.backward(outer, [query, key, value]);
             }
         });
-    AttentionGradients {
-        query: tensor(query, shape),
-        key: tensor(key, shape),
-        value: tensor(value, shape),
-    }
+    Queries { query: tensor(query, shape), key: tensor(key, shape), value: tensor(value, shape) }
 }

@@ -4,19 +4,15 @@ use burn_flex::Flex;
 use burn_tensor::{Tensor, TensorPrimitive};
 use rayon::prelude::*;
 
-use super::{
-    super::{AffineGradients, Convolution},
-    memory::{add, host, tensor, values},
-};
+use super::memory::{add, host, tensor, values};
+use crate::{Affine, Convolution};
 
 /// Rows that one thread takes at a time where it is not a product.
 const ROWS: usize = 256;
 
 pub(super) fn map(
     plan: Convolution,
-    input: Tensor<Flex, 3>,
-    weight: Tensor<Flex, 1>,
-    bias: Tensor<Flex, 1>,
+    Affine { input, weight, bias }: Affine<Flex>,
 ) -> Tensor<Flex, 3> {
     let [batch, length, _] = input.dims();
     let rows = input.reshape([batch * length, plan.inputs]);
@@ -35,17 +31,16 @@ pub(super) fn map(
 
 pub(super) fn map_backward(
     plan: Convolution,
-    input: Tensor<Flex, 3>,
-    weight: Tensor<Flex, 1>,
+    Affine { input, weight, .. }: Affine<Flex>,
     outer: Tensor<Flex, 3>,
-) -> AffineGradients<Flex> {
+) -> Affine<Flex> {
     let [batch, length, _] = input.dims();
     let rows = input.reshape([batch * length, plan.inputs]);
     let outer = outer.reshape([batch * length, plan.outputs]);
     let weight = weight.reshape([plan.inputs, plan.outputs]);
     let by_input = outer.clone().matmul(weight.transpose());
     let by_weight = rows.transpose().matmul(outer.clone());
-    AffineGradients {
+    Affine {
         input: by_input.reshape([batch, length, plan.inputs]),
         weight: by_weight.reshape([plan.inputs * plan.outputs]),
         bias: column_sums(outer, plan.outputs),

@@ -6,16 +6,14 @@ use burn_tensor::{
     backend::Backend,
 };
 
-use super::{
-    AffineGradients, AttentionGradients, Convolution, Descent, Heads, Kind, Queries,
-    lowering::Product, operands::NORM_EPSILON,
+use crate::{
+    Affine, AttentionInputs, Convolution, Descent, Kind, Queries, lowering::Product,
+    operands::NORM_EPSILON,
 };
 
 pub(super) fn convolve<B: Backend>(
     plan: Convolution,
-    input: Tensor<B, 3>,
-    weight: Tensor<B, 1>,
-    bias: Tensor<B, 1>,
+    Affine { input, weight, bias }: Affine<B>,
 ) -> Tensor<B, 3> {
     let [batch, time, _] = input.dims();
     let outputs = plan.outputs;
@@ -31,10 +29,9 @@ pub(super) fn convolve<B: Backend>(
 
 pub(super) fn convolve_backward<B: Backend>(
     plan: Convolution,
-    input: Tensor<B, 3>,
-    weight: Tensor<B, 1>,
+    Affine { input, weight, .. }: Affine<B>,
     outer: Tensor<B, 3>,
-) -> AffineGradients<B> {
+) -> Affine<B> {
     let [batch, time, channels] = input.dims();
     let (rows, outputs) = (batch * plan.rows(time), plan.outputs);
     let device = input.device();
@@ -66,7 +63,7 @@ pub(super) fn convolve_backward<B: Backend>(
     } else {
         by_input
     };
-    AffineGradients {
+    Affine {
         input: by_input,
         weight: Tensor::cat(by_kernel.into_iter().flatten().collect(), 0)
             .reshape([plan.kernel() * channels * outputs]),
@@ -164,27 +161,22 @@ fn standardised<B: Backend>(input: Tensor<B, 3>) -> (Tensor<B, 3>, Tensor<B, 3>)
     (centred * scale.clone(), scale)
 }
 
-pub(super) fn normalise<B: Backend>(
-    input: Tensor<B, 3>,
-    weight: Tensor<B, 1>,
-    bias: Tensor<B, 1>,
-) -> Tensor<B, 3> {
+pub(super) fn normalise<B: Backend>(Affine { input, weight, bias }: Affine<B>) -> Tensor<B, 3> {
     let (standard, _) = standardised(input);
     standard * weight.unsqueeze::<3>() + bias.unsqueeze::<3>()
 }
 
 pub(super) fn normalise_backward<B: Backend>(
-    input: Tensor<B, 3>,
-    weight: Tensor<B, 1>,
+    Affine { input, weight, .. }: Affine<B>,
     outer: Tensor<B, 3>,
-) -> AffineGradients<B> {
+) -> Affine<B> {
     let [channels] = weight.dims();
     let (standard, scale) = standardised(input);
     let rows = |tensor: Tensor<B, 3>| tensor.sum_dim(0).sum_dim(1).reshape([channels]);
     let by_standard = outer.clone() * weight.unsqueeze::<3>();
     let plain = by_standard.clone().mean_dim(2);
     let along = (by_standard.clone() * standard.clone()).mean_dim(2);
-    AffineGradients {
+    Affine {
         input: scale * (by_standard - plain - standard.clone() * along),
         weight: rows(outer.clone() * standard),
         bias: rows(outer),
@@ -192,10 +184,10 @@ pub(super) fn normalise_backward<B: Backend>(
 }
 
 /// `[batch, length, channels]` to `[batch, heads, length, size]`.
-fn split<B: Backend>(heads: Heads, tensor: Tensor<B, 3>) -> Tensor<B, 4> {
+fn split<B: Backend>(heads: usize, tensor: Tensor<B, 3>) -> Tensor<B, 4> {
     let [batch, length, channels] = tensor.dims();
-    let size = channels / heads.count;
-    let tensor = tensor.reshape([batch, length, heads.count, size]);
+    let size = channels / heads;
+    let tensor = tensor.reshape([batch, length, heads, size]);
     tensor.swap_dims(1, 2)
 }
 
@@ -207,7 +199,7 @@ fn joined<B: Backend>(tensor: Tensor<B, 4>) -> Tensor<B, 3> {
 
 /// Shares of the values, `[batch, heads, length, length]`, and the factor of the scores.
 fn shares<B: Backend>(
-    heads: Heads,
+    heads: usize,
     query: Tensor<B, 3>,
     key: Tensor<B, 3>,
     forbidden: Tensor<B, 2, Bool>,
@@ -227,23 +219,17 @@ fn dropped<B: Backend>(shares: Tensor<B, 4>, kept: Option<Tensor<B, 4>>) -> Tens
     }
 }
 
-pub(super) fn attend<B: Backend>(
-    heads: Heads,
-    queries: Queries<B>,
-    forbidden: Tensor<B, 2, Bool>,
-    kept: Option<Tensor<B, 4>>,
-) -> Tensor<B, 3> {
+pub(super) fn attend<B: Backend>(inputs: AttentionInputs<B>) -> Tensor<B, 3> {
+    let AttentionInputs { heads, queries, forbidden, kept } = inputs;
     let (shares, _) = shares(heads, queries.query, queries.key, forbidden);
     joined(dropped(shares, kept).matmul(split(heads, queries.value)))
 }
 
 pub(super) fn attend_backward<B: Backend>(
-    heads: Heads,
-    queries: Queries<B>,
-    forbidden: Tensor<B, 2, Bool>,
-    kept: Option<Tensor<B, 4>>,
+    inputs: AttentionInputs<B>,
     outer: Tensor<B, 3>,
-) -> AttentionGradients<B> {
+) -> Queries<B> {
+    let AttentionInputs { heads, queries, forbidden, kept } = inputs;
     let Queries { query, key, value } = queries;
     let (shares, scale) = shares(heads, query.clone(), key.clone(), forbidden);
     let outer = split(heads, outer);
@@ -251,7 +237,7 @@ pub(super) fn attend_backward<B: Backend>(
     let by_shares = dropped(outer.matmul(split(heads, value).swap_dims(2, 3)), kept);
     let along = (by_shares.clone() * shares.clone()).sum_dim(3);
     let by_scores = (shares * (by_shares - along)).mul_scalar(scale);
-    AttentionGradients {
+    Queries {
         query: joined(by_scores.clone().matmul(split(heads, key))),
         key: joined(by_scores.swap_dims(2, 3).matmul(split(heads, query))),
         value: joined(by_value),

@@ -4,10 +4,8 @@ use burn_flex::Flex;
 use burn_tensor::{Distribution, Tensor};
 use rayon::prelude::*;
 
-use super::{
-    super::{AffineGradients, operands::NORM_EPSILON},
-    memory::{add, host, tensor, values},
-};
+use super::memory::{add, host, tensor, values};
+use crate::{Affine, operands::NORM_EPSILON};
 
 /// Values that one thread takes at a time.
 const PART: usize = 16_384;
@@ -51,8 +49,8 @@ fn normal(x: f32) -> (f32, f32) {
     let series = series * t - 0.284_496_74;
     let series = series * t + 0.254_829_6;
     let fall = exp(-root * root);
-    let tail = 0.5 * series * t * fall;
-    let below = if x < 0.0 { tail } else { 1.0 - tail };
+    let beyond = 0.5 * series * t * fall;
+    let below = if x < 0.0 { beyond } else { 1.0 - beyond };
     (below, DENSITY * fall)
 }
 
@@ -97,11 +95,7 @@ fn sum(values: impl Iterator<Item = f32>) -> f32 {
     values.map(f64::from).sum::<f64>() as f32
 }
 
-pub(super) fn normalise(
-    input: Tensor<Flex, 3>,
-    weight: Tensor<Flex, 1>,
-    bias: Tensor<Flex, 1>,
-) -> Tensor<Flex, 3> {
+pub(super) fn normalise(Affine { input, weight, bias }: Affine<Flex>) -> Tensor<Flex, 3> {
     let shape = input.dims();
     let channels = shape[2].max(1);
     let (input, weight, bias) = (host(input), host(weight), host(bias));
@@ -124,10 +118,9 @@ pub(super) fn normalise(
 }
 
 pub(super) fn normalise_backward(
-    input: Tensor<Flex, 3>,
-    weight: Tensor<Flex, 1>,
+    Affine { input, weight, .. }: Affine<Flex>,
     outer: Tensor<Flex, 3>,
-) -> AffineGradients<Flex> {
+) -> Affine<Flex> {
     let shape = input.dims();
     let channels = shape[2].max(1);
     let (input, weight, outer) = (host(input), host(weight), host(outer));
@@ -159,7 +152,7 @@ pub(super) fn normalise_backward(
         }
         tensor(total, [channels])
     };
-    AffineGradients { weight: total(0), bias: total(1), input: tensor(by_input, shape) }
+    Affine { weight: total(0), bias: total(1), input: tensor(by_input, shape) }
 }
 
 fn normalise_row_backward(

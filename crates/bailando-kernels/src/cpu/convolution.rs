@@ -5,10 +5,8 @@ use burn_tensor::Tensor;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, Slice, linalg::general_mat_mul};
 use rayon::prelude::*;
 
-use super::{
-    super::{AffineGradients, Convolution, lowering::Product},
-    memory::{add, host, tensor, values},
-};
+use super::memory::{add, host, tensor, values};
+use crate::{Affine, Convolution, lowering::Product};
 
 /// Rows of a matrix product that one thread takes at a time: large enough that a product is worth
 /// its preparation, small enough that its operands stay in a core's own cache.
@@ -16,9 +14,7 @@ const GROUP_ROWS: usize = 240;
 
 pub(super) fn convolve(
     plan: Convolution,
-    input: Tensor<Flex, 3>,
-    weight: Tensor<Flex, 1>,
-    bias: Tensor<Flex, 1>,
+    Affine { input, weight, bias }: Affine<Flex>,
 ) -> Tensor<Flex, 3> {
     let [batch, time, _] = input.dims();
     let (input, weight, bias) = (host(input), host(weight), host(bias));
@@ -34,10 +30,9 @@ pub(super) fn convolve(
 
 pub(super) fn convolve_backward(
     plan: Convolution,
-    input: Tensor<Flex, 3>,
-    weight: Tensor<Flex, 1>,
+    Affine { input, weight, .. }: Affine<Flex>,
     outer: Tensor<Flex, 3>,
-) -> AffineGradients<Flex> {
+) -> Affine<Flex> {
     let shape = input.dims();
     let [_, time, _] = shape;
     let (input, weight, outer) = (host(input), host(weight), host(outer));
@@ -59,7 +54,7 @@ pub(super) fn convolve_backward(
         add(&mut bias_change, &change.bias);
     }
     let (weights, biases) = (weight_change.len(), bias_change.len());
-    AffineGradients {
+    Affine {
         input: tensor(by_input, shape),
         weight: tensor(weight_change, [weights]),
         bias: tensor(bias_change, [biases]),

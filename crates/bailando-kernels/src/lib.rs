@@ -1,7 +1,20 @@
 //! The operations that take most of the training time, with derivatives written by hand.
 //!
 //! Every backend has them in its own tensor operations ([`Kernels`]'s defaults); the CPU has faster
-//! ones ([`cpu`]). [`derivative`] makes both known to automatic derivatives.
+//! ones. Automatic derivatives know both.
+//!
+//! ```
+//! use bailando_kernels::{Affine, Convolution, Kernels, Kind};
+//! use burn_flex::{Flex, FlexDevice};
+//! use burn_tensor::Tensor;
+//!
+//! let plan = Convolution { kind: Kind::Halving, rectified: false, inputs: 3, outputs: 5 };
+//! let input = Tensor::<Flex, 3>::ones([2, 8, 3], &FlexDevice);
+//! let weight = Tensor::ones([4 * 3 * 5], &FlexDevice);
+//! let bias = Tensor::zeros([5], &FlexDevice);
+//! let output = Flex::convolve(plan, Affine { input, weight, bias });
+//! assert_eq!(output.dims(), [2, 4, 5]);
+//! ```
 
 mod cpu;
 mod derivative;
@@ -12,34 +25,28 @@ mod plain;
 mod tests;
 
 pub use lowering::{Convolution, Kind};
-pub use operands::{AffineGradients, AttentionGradients, Descent, Heads, Queries};
+pub use operands::{Affine, AttentionInputs, Descent, Queries};
 
 use burn_tensor::{
-    Bool, Tensor,
+    Tensor,
     backend::{AutodiffBackend, Backend},
 };
 
-/// A backend with the operations of this module.
+/// A backend with the operations of this crate.
 pub trait Kernels: Backend {
     /// Convolution along time: `input` `[batch, time, in]`, `weight` `[kernel * in * out]` (kernel
     /// first), `bias` `[out]`; gives `[batch, time', out]`.
-    fn convolve(
-        plan: Convolution,
-        input: Tensor<Self, 3>,
-        weight: Tensor<Self, 1>,
-        bias: Tensor<Self, 1>,
-    ) -> Tensor<Self, 3> {
-        plain::convolve(plan, input, weight, bias)
+    fn convolve(plan: Convolution, affine: Affine<Self>) -> Tensor<Self, 3> {
+        plain::convolve(plan, affine)
     }
 
     /// The derivative of [`Kernels::convolve`] for the derivative `outer` of its result.
     fn convolve_backward(
         plan: Convolution,
-        input: Tensor<Self, 3>,
-        weight: Tensor<Self, 1>,
+        affine: Affine<Self>,
         outer: Tensor<Self, 3>,
-    ) -> AffineGradients<Self> {
-        plain::convolve_backward(plan, input, weight, outer)
+    ) -> Affine<Self> {
+        plain::convolve_backward(plan, affine, outer)
     }
 
     /// GELU: `x` times the share of a normal distribution below it.
@@ -54,44 +61,23 @@ pub trait Kernels: Backend {
 
     /// Each row of `input` `[batch, length, channels]` to mean 0 and spread 1, then times `weight`
     /// plus `bias` `[channels]`.
-    fn normalise(
-        input: Tensor<Self, 3>,
-        weight: Tensor<Self, 1>,
-        bias: Tensor<Self, 1>,
-    ) -> Tensor<Self, 3> {
-        plain::normalise(input, weight, bias)
+    fn normalise(affine: Affine<Self>) -> Tensor<Self, 3> {
+        plain::normalise(affine)
     }
 
     /// The derivative of [`Kernels::normalise`].
-    fn normalise_backward(
-        input: Tensor<Self, 3>,
-        weight: Tensor<Self, 1>,
-        outer: Tensor<Self, 3>,
-    ) -> AffineGradients<Self> {
-        plain::normalise_backward(input, weight, outer)
+    fn normalise_backward(affine: Affine<Self>, outer: Tensor<Self, 3>) -> Affine<Self> {
+        plain::normalise_backward(affine, outer)
     }
 
-    /// Attention of every head, `[batch, length, channels]`. `forbidden` `[length, length]` is true
-    /// where a query must not see a key; `kept` `[batch, heads, length, length]` are factors of the
-    /// shares where some are dropped.
-    fn attend(
-        heads: Heads,
-        queries: Queries<Self>,
-        forbidden: Tensor<Self, 2, Bool>,
-        kept: Option<Tensor<Self, 4>>,
-    ) -> Tensor<Self, 3> {
-        plain::attend(heads, queries, forbidden, kept)
+    /// Attention of every head, `[batch, length, channels]`.
+    fn attend(inputs: AttentionInputs<Self>) -> Tensor<Self, 3> {
+        plain::attend(inputs)
     }
 
     /// The derivative of [`Kernels::attend`].
-    fn attend_backward(
-        heads: Heads,
-        queries: Queries<Self>,
-        forbidden: Tensor<Self, 2, Bool>,
-        kept: Option<Tensor<Self, 4>>,
-        outer: Tensor<Self, 3>,
-    ) -> AttentionGradients<Self> {
-        plain::attend_backward(heads, queries, forbidden, kept, outer)
+    fn attend_backward(inputs: AttentionInputs<Self>, outer: Tensor<Self, 3>) -> Queries<Self> {
+        plain::attend_backward(inputs, outer)
     }
 
     /// One step of Adam: the tensor and its two moments afterwards.
