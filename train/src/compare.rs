@@ -5,10 +5,8 @@ use std::{fmt, path::PathBuf};
 use bailando::model::ModelDirectory;
 use clap::Args;
 use ndarray::{Array2, ArrayView1};
-use rand_chacha::{
-    ChaCha8Rng,
-    rand_core::{Rng, SeedableRng},
-};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use crate::{
@@ -132,7 +130,7 @@ impl Sums {
         }
         for (one, other) in original.rows().into_iter().zip(model.rows()) {
             let [one, other] = [one, other].map(shares);
-            let number = (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64;
+            let number = random.random();
             self.codes += 1;
             self.same_likeliest += usize::from(likeliest(&one) == likeliest(&other));
             self.same_drawn += usize::from(drawn(&one, number) == drawn(&other, number));

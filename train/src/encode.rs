@@ -34,21 +34,16 @@ pub struct EncodeOptions {
 /// Why recordings could not be encoded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[expect(missing_docs, reason = "each message names its fields")]
+#[expect(missing_docs, reason = "the messages are the documentation")]
 pub enum EncodeError {
-    /// The data.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// The model.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// A motion.
     #[error(transparent)]
     Motion(#[from] MotionError),
-    /// No recording of the split goes with a song.
     #[error("no recording of this split has music")]
     NoMusic,
-    /// A file could not be written.
     #[error("{}: {message}", path.display())]
     Write { path: PathBuf, message: String },
 }

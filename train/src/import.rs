@@ -42,24 +42,18 @@ pub struct ImportOptions {
 /// Why checkpoints could not be imported.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[expect(missing_docs, reason = "each message names its fields")]
+#[expect(missing_docs, reason = "the messages are the documentation")]
 pub enum ImportError {
-    /// A checkpoint.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The weights in it.
     #[error(transparent)]
     Weights(#[from] WeightError),
-    /// The model directory.
     #[error(transparent)]
     Export(#[from] ExportError),
-    /// A JSON file could not be read.
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
-    /// A JSON file does not hold what is expected.
     #[error("{}: expected {expected}: {source}", path.display())]
     Json { path: PathBuf, expected: &'static str, source: serde_json::Error },
-    /// A start code is not in the vocabulary.
     #[error("{}: start codes {pair:?} lie outside the vocabulary of {upper} upper and {lower} \
              lower codes", path.display())]
     StartCode { path: PathBuf, pair: [u32; 2], upper: usize, lower: usize },

@@ -24,3 +24,9 @@ pub mod training;
 pub mod weights;
 
 pub use host_tensor::{HostTensor, ShapeMismatch};
+
+/// Returns the SHA-256 of some bytes in hexadecimal digits.
+#[expect(clippy::expect_used, reason = "reading from memory does not fail")]
+fn sha256(mut bytes: &[u8]) -> String {
+    bailando::model::file_sha256(&mut bytes).expect("reading from memory")
+}

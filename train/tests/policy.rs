@@ -151,7 +151,7 @@ fn resumes_exactly(whole: &Config, broken: &Config, set: &MotionSet) {
     keeps_a_share(whole, &plain, &learned);
 }
 
-/// What rewards changed is kept as far as asked, without learning anew.
+/// What rewards changed is kept as far as asked, without learning again.
 fn keeps_a_share(config: &Config, plain: &GptWeights, learned: &GptWeights) {
     let kept = |share: f64| {
         let mut config = config.clone();
@@ -199,7 +199,7 @@ fn adapts(config: &Config, folder: &Path) {
         export_adapted(config, &adaptation, &out, false),
         Err(TrainError::StageMissing { .. })
     ));
-    // The same bytes under another name go on.
+    // The same bytes under another name resume.
     let other = folder.join("renamed.wav");
     fs::copy(&path, &other).unwrap();
     let renamed = Adaptation::new(config, &other, song(0.4)).unwrap();

@@ -2,19 +2,17 @@
 
 use std::{
     env, fs,
-    io::{self, Cursor, Write},
+    io::{self, Write},
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
 };
 
-use bailando::{
-    features::{COLUMNS, Profile, Rate},
-    model::file_sha256,
-};
+use bailando::features::{COLUMNS, Profile, Rate};
 use ndarray::Array2;
 use sha2::{Digest, Sha256};
 
 use super::{DataError, files};
+use crate::sha256;
 
 /// Raise it whenever decoding, resampling or features give other numbers: older entries are then
 /// never asked for again.
@@ -33,9 +31,8 @@ pub struct FeatureKey {
 impl FeatureKey {
     /// The key of the audio file with these bytes, without its first `phase` frames of motion.
     #[must_use]
-    #[expect(clippy::expect_used, reason = "reading from memory does not fail")]
     pub fn new(audio: &[u8], profile: Profile, rate: Rate, phase: usize) -> Self {
-        let audio = file_sha256(&mut Cursor::new(audio)).expect("reading from memory");
+        let audio = sha256(audio);
         let profile = match profile {
             Profile::Librosa011 => "librosa-0.11",
             Profile::Librosa081 => "librosa-0.8.1",
@@ -44,9 +41,7 @@ impl FeatureKey {
     }
 
     fn file_name(&self) -> String {
-        let hash = Sha256::digest(self.text.as_bytes());
-        let name: String = hash.iter().map(|byte| format!("{byte:02x}")).collect();
-        format!("{name}.rows")
+        format!("{}.rows", sha256(self.text.as_bytes()))
     }
 }
 

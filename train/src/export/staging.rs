@@ -6,9 +6,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use bailando::model::{FileEntry, file_sha256};
+use bailando::model::FileEntry;
 
 use super::ExportError;
+use crate::sha256;
 
 /// The file that marks a model directory.
 const MANIFEST: &str = "manifest.json";
@@ -57,10 +58,7 @@ impl Staging {
             let mut file = File::create(&path)?;
             file.write_all(bytes)?;
             file.sync_all()?;
-            Ok(FileEntry {
-                bytes: bytes.len() as u64,
-                sha256: file_sha256(&mut io::Cursor::new(bytes))?,
-            })
+            Ok(FileEntry { bytes: bytes.len() as u64, sha256: sha256(bytes) })
         };
         write().map_err(failed(&path))
     }

@@ -1,9 +1,7 @@
 //! Random weights to start from: the distributions of the published training program's framework.
 
-use rand_chacha::{
-    ChaCha8Rng,
-    rand_core::{Rng, SeedableRng},
-};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 use crate::{
     HostTensor,
@@ -170,8 +168,7 @@ impl Random {
 
     /// In `[0, 1)`.
     fn unit(&mut self) -> f64 {
-        // The upper 53 bits are what a double holds.
-        (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+        self.0.random()
     }
 
     fn uniform(&mut self, shape: Vec<usize>, bound: f64) -> HostTensor {

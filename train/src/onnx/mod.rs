@@ -21,9 +21,8 @@ pub use receptive::receptive_codes;
 /// Why a graph could not be written.
 #[derive(Debug, thiserror::Error, PartialEq)]
 #[non_exhaustive]
-#[expect(missing_docs, reason = "each message names its fields")]
+#[expect(missing_docs, reason = "the messages are the documentation")]
 pub enum GraphError {
-    /// A weight is too large for half precision.
     #[error("weight `{weight}` holds {value}, beyond the range of float16: use --weights f32")]
     HalfRange { weight: String, value: f32 },
 }

@@ -3,11 +3,12 @@
 use bailando::model::WeightStorage;
 use burn_flex::{Flex, FlexDevice};
 use ndarray::Array2;
+use rand::RngExt;
 
 use super::{
     config::Config,
     policy::Policy,
-    sampling::{Sampler, SamplingRequest, unit},
+    sampling::{Sampler, SamplingRequest},
     windows::generator,
 };
 use crate::{nn::Parameters, onnx::InputRanges};
@@ -46,7 +47,7 @@ pub(super) fn input_ranges(config: &Config, policy: &Policy) -> InputRanges {
 fn noise(policy: &Policy, rows: usize, piece: u64) -> Array2<f32> {
     let mut random = generator(SEED, piece);
     let raw = Array2::from_shape_fn((rows, policy.scale.mean.len()), |(_, column)| {
-        let wide = 12.0_f64.sqrt() * (unit(&mut random) - 0.5);
+        let wide = 12.0_f64.sqrt() * (random.random::<f64>() - 0.5);
         policy.scale.mean[column] + policy.scale.spread[column] * wide as f32
     });
     policy.scaled(&raw)

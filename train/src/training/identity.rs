@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use serde_json::Value;
-use sha2::{Digest, Sha256};
 
 use super::{
     checkpoint::Facts,
@@ -13,7 +12,7 @@ use super::{
     kept::{checkpoint_path, facts_of, fingerprint},
     stage::Stage,
 };
-use crate::data::Training;
+use crate::{data::Training, sha256};
 
 /// Facts in a checkpoint.
 const IDENTITY: &str = "identity";
@@ -87,8 +86,7 @@ impl Identity {
 
     /// Returns the SHA-256 of the canonical JSON.
     fn hash(&self) -> String {
-        let digest = Sha256::digest(self.canonical());
-        digest.iter().map(|byte| format!("{byte:02x}")).collect()
+        sha256(self.canonical().as_bytes())
     }
 
     /// Adds the identity to the facts of a checkpoint.

@@ -2,14 +2,14 @@
 //! epoch's start, with their rewards (ARCHITECTURE section 6).
 
 use ndarray::{ArrayView2, Axis, Slice};
-use rand_chacha::rand_core::Rng;
+use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
 use super::{
     checkpoint::Checkpoint,
     decode::MotionDecoder,
     reward::RewardRule,
-    sampling::{Sampler, SamplingRequest, unit},
+    sampling::{Sampler, SamplingRequest},
     song::Song,
     windows::generator,
 };
@@ -101,7 +101,7 @@ impl RolloutPlan {
         let excerpts = songs.flat_map(|&song| {
             let codes = self.longest(&self.songs[song]);
             let spare = self.songs[song].rows.nrows() - 1 - codes;
-            let first = (unit(&mut random) * (spare + 1) as f64) as usize;
+            let first = (random.random::<f64>() * (spare + 1) as f64) as usize;
             std::iter::repeat_n(Excerpt { song, first, codes }, takes)
         });
         excerpts.take(self.pieces).collect()
@@ -122,8 +122,8 @@ impl RolloutPlan {
     /// `None` where it starts as recordings do.
     fn continued_from(&self, epoch: u64, piece: usize, ends: &[[i32; 2]]) -> Option<[i32; 2]> {
         let mut random = generator(self.seed ^ CONTINUED, epoch << 32 | piece as u64);
-        let continues = unit(&mut random) < self.continued;
-        let end = (unit(&mut random) * ends.len() as f64) as usize;
+        let continues = random.random::<f64>() < self.continued;
+        let end = (random.random::<f64>() * ends.len() as f64) as usize;
         ends.get(end).copied().filter(|_| continues)
     }
 

@@ -2,7 +2,8 @@
 
 use burn_tensor::{Int, Tensor};
 use ndarray::ArrayView2;
-use rand_chacha::{ChaCha8Rng, rand_core::Rng};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::nn::{self, GptNet, Kernels, KvCache, Parameters, gathered, numbers, values};
@@ -24,7 +25,7 @@ impl<'a> SamplingRequest<'a> {
         starts: &[[u32; 2]],
         mut random: ChaCha8Rng,
     ) -> Self {
-        let start = (unit(&mut random) * starts.len() as f64) as usize;
+        let start = (random.random::<f64>() * starts.len() as f64) as usize;
         // Without starts every code is as good as the first.
         let start = starts.get(start).copied().unwrap_or([0; 2]);
         Self { music, start: start.map(|code| code as i32), random }
@@ -217,19 +218,13 @@ fn draw(logits: &[f32], temperature: f64, random: &mut ChaCha8Rng) -> usize {
         (distance / temperature).exp()
     };
     let total: f64 = (0..logits.len()).map(weight).sum();
-    let mut rest = unit(random) * total;
+    let mut rest = random.random::<f64>() * total;
     let reached = |&code: &usize| {
         rest -= weight(code);
         rest < 0.0
     };
     // Rounding may leave a sliver beyond the last weight.
     (0..logits.len()).find(reached).unwrap_or(best)
-}
-
-/// Returns a number in `[0, 1)`.
-pub(super) fn unit(random: &mut ChaCha8Rng) -> f64 {
-    // The upper 53 bits are what a double holds.
-    (random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 #[cfg(test)]

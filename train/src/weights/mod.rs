@@ -18,12 +18,10 @@ use crate::checkpoint::CheckpointError;
 /// Why weights could not be taken from a checkpoint.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-#[expect(missing_docs, reason = "each message names its fields")]
+#[expect(missing_docs, reason = "the messages are the documentation")]
 pub enum WeightError {
-    /// The file, or one of its tensors.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The head count cannot be read off the tensors and the one given does not fit them.
     #[error("{}: {channels} channels cannot be divided among {heads} heads: give the right count \
              with --heads", path.display())]
     Heads { path: PathBuf, channels: usize, heads: usize },

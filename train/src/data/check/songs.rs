@@ -11,12 +11,12 @@ use std::{
     thread,
 };
 
-use bailando::{
-    features::{FeatureExtractor, Profile, Rate},
-    model::file_sha256,
-};
+use bailando::features::{FeatureExtractor, Profile, Rate};
 
-use crate::data::{DataError, files, library::decoded};
+use crate::{
+    data::{DataError, files, library::decoded},
+    sha256,
+};
 
 /// What is known of a song.
 #[derive(Clone, Debug)]
@@ -54,10 +54,9 @@ pub(super) fn track(songs: &[(&Path, bool)]) -> Songs {
     done.into_inner().unwrap_or_else(PoisonError::into_inner)
 }
 
-#[expect(clippy::expect_used, reason = "reading from memory does not fail")]
 fn facts(path: &Path, extractor: Option<&mut FeatureExtractor>) -> Result<SongFacts, DataError> {
     let bytes = files::read(path)?;
-    let hash = file_sha256(&mut bytes.as_slice()).expect("reading from memory");
+    let hash = sha256(&bytes);
     // The low rate is enough for length and level, and eight times less work.
     let rate = if extractor.is_some() { Rate::Beats } else { Rate::Conditioning };
     let decoded = decoded(path, bytes, &[rate.hz()])?;
