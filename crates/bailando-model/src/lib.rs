@@ -12,6 +12,8 @@
 //! [`ModelDirectory`] then opens the graphs: [`Gpt`] with its [`KvCache`], [`Decoder`] and
 //! [`Encoder`].
 
+#[cfg(test)]
+mod batch_tests;
 mod cache;
 mod directory;
 mod embedded;
