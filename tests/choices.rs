@@ -1,22 +1,29 @@
 //! Choices between motions: segments generated again, codes that are never drawn.
 
-use bailando::{engine::GenerationOptions, formats::Codes};
+use bailando::{
+    audio::AudioRange,
+    engine::{GenerationOptions, GenerationRequest},
+    formats::Codes,
+};
 use bailando_testkit::song;
 
-use crate::support::{TINY, dance_to};
+use crate::support::{TINY, dance_to, music};
 
-fn codes(seed: u64, temperature: f32, redo: bool) -> Codes {
-    let options = GenerationOptions {
+fn options(seed: u64, temperature: f32, redo: bool) -> GenerationOptions {
+    GenerationOptions {
         seed: Some(seed),
         temperature: Some(temperature),
         redo: Some(redo),
+        range: AudioRange { offset_s: 0.0, duration_s: Some(10.0) },
         ..GenerationOptions::default()
-    };
-    dance_to(&TINY, song("demo.ogg"), &options).codes
+    }
 }
 
 #[test]
 fn a_dance_that_may_be_danced_anew_repeats_itself() {
+    let codes = |seed, temperature, redo| {
+        dance_to(&TINY, song("demo.ogg"), &options(seed, temperature, redo)).codes
+    };
     let anew = codes(1, 0.85, true);
     assert_eq!(anew, codes(1, 0.85, true));
     assert_ne!(anew, codes(2, 0.85, true));
@@ -32,7 +39,9 @@ fn suppressed_codes_are_never_drawn() {
     assert!(!suppressed.upper.is_empty() && !suppressed.lower.is_empty());
     for seed in 0..4 {
         // So hot that every other code is drawn.
-        let Codes { upper, lower } = codes(seed, 10.0, false);
+        let music = music(300, TINY.manifest().features.columns);
+        let request = GenerationRequest::features(music, options(seed, 10.0, false));
+        let Codes { upper, lower } = TINY.generate(request).unwrap().codes;
         for (drawn, suppressed) in [(upper, &suppressed.upper), (lower, &suppressed.lower)] {
             for code in 0..16 {
                 let is_drawn = drawn.contains(&code);

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use bailando::{
     CancelToken,
-    audio::AudioLimits,
+    audio::{AudioLimits, AudioRange},
     engine::{Engine, GenerationOptions, GenerationRequest, MotionOutput, MotionStream, Opening},
     formats::{BvhUnit, Continuation, GeneratedMotion, JsonOptions, OutputFormat},
     motion::{self, FinishOptions, Finisher},
@@ -18,9 +18,13 @@ use crate::support::{TINY, dance_to, dances, music};
 const SONG_SECONDS: f64 = 30.0;
 pub(crate) const FPS: usize = 60;
 
+/// A dance to the first seconds of a song.
 fn dance(audio: Vec<u8>, seed: u64) -> GeneratedMotion {
-    let options =
-        GenerationOptions { seed: Some(seed), music: true, ..GenerationOptions::default() };
+    let options = GenerationOptions {
+        seed: Some(seed),
+        range: AudioRange { offset_s: 0.0, duration_s: Some(8.0) },
+        ..GenerationOptions::default()
+    };
     dance_to(&TINY, audio, &options)
 }
 
@@ -110,7 +114,7 @@ fn guidance_of_1_is_the_model_itself_and_more_is_another_dance() {
         let options = GenerationOptions {
             seed: Some(4),
             guidance,
-            range: bailando::audio::AudioRange { offset_s: 0.0, duration_s: Some(8.0) },
+            range: AudioRange { offset_s: 0.0, duration_s: Some(8.0) },
             ..GenerationOptions::default()
         };
         dance_to(&TINY, song("demo.ogg"), &options).codes
@@ -202,7 +206,7 @@ fn part(offset_s: f64, continue_from: Option<Continuation>, root_motion: bool) -
         seed: Some(8),
         continue_from,
         root_motion,
-        range: bailando::audio::AudioRange { offset_s, duration_s: Some(8.0) },
+        range: AudioRange { offset_s, duration_s: Some(8.0) },
         ..GenerationOptions::default()
     };
     dance_to(&TINY, song("demo.ogg"), &options)
@@ -294,7 +298,7 @@ fn other_frame_rates_and_a_dancer_in_place() {
             seed: Some(3),
             fps,
             root_motion: false,
-            range: bailando::audio::AudioRange { offset_s: 2.0, duration_s: Some(4.0) },
+            range: AudioRange { offset_s: 2.0, duration_s: Some(4.0) },
             ..GenerationOptions::default()
         };
         let dance = dance_to(&TINY, song("demo.ogg"), &options);
