@@ -12,9 +12,9 @@ use ndarray::Array2;
 /// A tiny model with all that a model can have, loaded once.
 pub(crate) static TINY: LazyLock<Engine> = LazyLock::new(|| open(&tiny_dancer()));
 
-/// Loads a model.
+/// Loads a model with places for all that tests submit at once.
 pub(crate) fn open(model: &Path) -> Engine {
-    Engine::open(&EngineConfig { threads: 2, queue: 16, ..EngineConfig::new(model) }).unwrap()
+    Engine::open(&EngineConfig { threads: 2, queue: 64, ..EngineConfig::new(model) }).unwrap()
 }
 
 /// The motion to a song.
