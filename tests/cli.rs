@@ -1,19 +1,9 @@
 //! The command line as a user meets it: help, exit codes, one song to every format.
 
-#![allow(
-    clippy::expect_used,
-    clippy::print_stdout,
-    reason = "helpers of tests: failing loudly is their job"
-)]
-
-use std::{
-    fs,
-    path::Path,
-    process::{Command, Output},
-};
+use std::{fs, path::Path, process::Command};
 
 use bailando::model::{Manifest, ModelDirectory};
-use bailando_testkit::project;
+use bailando_testkit::{model::tiny_dancer, project};
 use ndarray::{Array2, Array3};
 use tempfile::TempDir;
 
@@ -21,7 +11,8 @@ const SONG: &str = "tests/fixtures/audio/demo.ogg";
 /// Eight seconds.
 const WAV: &str = "tests/fixtures/audio/demo_44k1_8s.wav";
 
-fn bailando(folder: &Path, arguments: &[&str]) -> Output {
+/// A command in a folder, without the settings of the environment.
+fn bailando(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
     command.current_dir(folder).args(arguments).env("COLUMNS", "100");
     for (name, _) in std::env::vars_os() {
@@ -29,34 +20,39 @@ fn bailando(folder: &Path, arguments: &[&str]) -> Output {
             command.env_remove(name);
         }
     }
-    command.output().expect("the binary runs")
+    command
 }
 
-/// Standard output of a command that must work, in a folder.
-fn succeed_in(folder: &Path, arguments: &[&str]) -> (String, String) {
-    let output = bailando(folder, arguments);
+/// Standard output and standard error of a command that must work.
+fn succeeds(mut command: Command) -> (String, String) {
+    let output = command.output().expect("the binary runs");
     let errors = String::from_utf8(output.stderr).expect("UTF-8");
-    assert!(output.status.success(), "{arguments:?}: {errors}");
+    assert!(output.status.success(), "{command:?}: {errors}");
     (String::from_utf8(output.stdout).expect("UTF-8"), errors)
 }
 
-/// The same in the project's folder, the arguments separated by spaces.
-fn succeed(arguments: &str) -> String {
+/// A command in the project's folder with the tiny model, the arguments separated by spaces.
+fn in_project(arguments: &str) -> Command {
     let arguments: Vec<&str> = arguments.split_whitespace().collect();
-    succeed_in(&project(""), &arguments).0
+    let mut command = bailando(&project(""), &arguments);
+    command.env("BAILANDO_MODEL_DIR", tiny_dancer());
+    command
+}
+
+fn succeed(arguments: &str) -> String {
+    succeeds(in_project(arguments)).0
 }
 
 /// Exit code and standard error of a command that must not work.
 fn fail(arguments: &str) -> (Option<i32>, String) {
-    let words: Vec<&str> = arguments.split_whitespace().collect();
-    let output = bailando(&project(""), &words);
+    let output = in_project(arguments).output().expect("the binary runs");
     assert!(!output.status.success(), "{arguments} worked");
     let errors = String::from_utf8(output.stderr).expect("UTF-8");
     (output.status.code(), errors)
 }
 
-fn default_manifest() -> Manifest {
-    let directory = ModelDirectory::open(&project("models/default")).expect("the default model");
+fn manifest() -> Manifest {
+    let directory = ModelDirectory::open(&tiny_dancer()).expect("the tiny model");
     directory.manifest().clone()
 }
 
@@ -80,11 +76,11 @@ fn npy<T: ndarray_npy::ReadNpyExt>(path: &str) -> T {
 
 #[test]
 fn help_is_the_reference() {
-    insta::assert_snapshot!("help", succeed("--help"));
+    let help = |arguments: &[&str]| succeeds(bailando(&project(""), arguments)).0;
+    insta::assert_snapshot!("help", help(&["--help"]));
     for command in ["serve", "generate", "features", "evaluate", "codebook", "bench", "healthcheck"]
     {
-        let help = succeed(&format!("{command} --help"));
-        insta::assert_snapshot!(format!("help_{command}"), help);
+        insta::assert_snapshot!(format!("help_{command}"), help(&[command, "--help"]));
     }
 }
 
@@ -208,9 +204,9 @@ fn dots_in_a_songs_name_stay_in_the_dances_name() {
         fs::copy(project(SONG), song).expect("copied");
     }
     let arguments = ["generate", &songs[0], &songs[1], "--out-dir", "out", "--duration-s", "1"];
-    let model = project("models/default");
+    let model = tiny_dancer();
     let model = ["--model-dir", model.to_str().expect("UTF-8")];
-    succeed_in(folder.path(), &[&arguments[..], &model].concat());
+    succeeds(bailando(folder.path(), &[&arguments[..], &model].concat()));
     for name in names {
         assert!(folder.path().join(format!("out/{name}.bvh")).is_file());
     }
@@ -235,9 +231,9 @@ fn features_and_rows_give_the_codes_of_the_song() {
     let folder = folder();
     let [rows, codes, positions, song] =
         ["rows.npy", "codes.npy", "positions.npy", "song.json"].map(|name| path(&folder, name));
-    let model = default_manifest();
+    let model = manifest();
     let [upper, lower] = model.start_codes[0];
-    succeed(&format!("features {SONG} -o {rows} --model-dir models/default"));
+    succeed(&format!("features {SONG} -o {rows} --model-dir {}", tiny_dancer().display()));
     let features: Array2<f32> = npy(&rows);
     assert_eq!(features.dim(), (226, model.features.columns));
     let periods = model.features.count_periods.iter().map(u32::to_string);
@@ -280,11 +276,13 @@ fn the_documented_way_over_feature_rows_works_as_written() {
     let folder = folder();
     fs::copy(project("tests/fixtures/audio/demo.mp3"), folder.path().join("song.mp3"))
         .expect("copied");
-    std::os::unix::fs::symlink(project("models"), folder.path().join("models")).expect("linked");
+    let models = folder.path().join("models");
+    fs::create_dir(&models).expect("created");
+    std::os::unix::fs::symlink(tiny_dancer(), models.join("default")).expect("linked");
     let readme = fs::read_to_string(project("README.md")).expect("a README");
     let run = |line: &str| {
         let words: Vec<&str> = line.split_whitespace().skip(1).collect();
-        succeed_in(folder.path(), &words).1
+        succeeds(bailando(folder.path(), &words)).1
     };
     for line in [FEATURES, GENERATE] {
         assert!(readme.contains(line), "README.md lacks: {line}");
@@ -292,7 +290,7 @@ fn the_documented_way_over_feature_rows_works_as_written() {
         assert!(!errors.contains("warning: features.npy"), "{errors}");
     }
     let codes: Array2<i64> = npy(&path(&folder, "codes.npy"));
-    let (rows, model) = (codes.ncols(), default_manifest());
+    let (rows, model) = (codes.ncols(), manifest());
 
     // Without the model's columns there is a dance too, with a word about the better way.
     run("bailando features song.mp3 -o features.npy");
@@ -307,29 +305,29 @@ fn the_documented_way_over_feature_rows_works_as_written() {
 fn a_codebook_is_drawn_with_the_uses_of_its_codes() {
     let folder = folder();
     let [codes, out] = ["codes.npy", "book"].map(|name| path(&folder, name));
-    let dance = ndarray::array![[7_i64, 7, 9, 9], [30, 30, 200, 7]];
+    let dance = ndarray::array![[7_i64, 7, 9, 9], [3, 3, 12, 7]];
     ndarray_npy::write_npy(&codes, &dance).expect("written");
     let arguments = format!("codebook -o {out} --sort uses --pairs 3 --codes {codes}");
     let said = succeed(&arguments);
-    let counted = "256 upper and 256 lower codes, 2 changes";
+    let counted = "16 upper and 16 lower codes, 2 changes";
     assert!(said.contains(counted), "{said}");
 
     let read = |name: &str| fs::read_to_string(format!("{out}/{name}")).expect(name);
     let json = json(&format!("{out}/codebook.json"));
     assert_eq!(json["upper"]["codes"][7]["uses"], 2);
-    assert_eq!(json["lower"]["codes"][200]["uses"], 1);
-    assert_eq!(json["transitions"][0]["from"], serde_json::json!([7, 30]));
+    assert_eq!(json["lower"]["codes"][12]["uses"], 1);
+    assert_eq!(json["transitions"][0]["from"], serde_json::json!([7, 3]));
     for name in ["upper.svg", "lower.svg", "pairs.svg"] {
         let svg = read(name);
-        let named = svg.contains(&default_manifest().name);
+        let named = svg.contains(&manifest().name);
         assert!(svg.starts_with("<svg ") && named, "{name}");
         assert!(read("index.html").contains(&svg), "{name}");
     }
     assert!(read("upper.svg").contains("\n7 (2×)\n"));
 
-    let foreign = Array2::from_elem((2, 3), 256_i64);
+    let foreign = Array2::from_elem((2, 3), 16_i64);
     ndarray_npy::write_npy(&codes, &foreign).expect("written");
     let (code, message) = fail(&arguments);
     assert_eq!(code, Some(1), "{message}");
-    assert!(message.contains("codes.npy: upper code 256"), "{message}");
+    assert!(message.contains("codes.npy: upper code 16"), "{message}");
 }

@@ -4,13 +4,6 @@
 //! server. `CONTRIBUTING.md` says what differs from a reader's machine. A block that cannot run
 //! here says why in its fence: `no-run: needs docker`.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::panic,
-    clippy::print_stdout,
-    reason = "a document that cannot be checked is a failed test"
-)]
-
 use std::{
     env,
     ffi::OsString,

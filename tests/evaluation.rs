@@ -1,7 +1,5 @@
 //! `bailando evaluate` as a user meets it.
 
-#![expect(clippy::unwrap_used, reason = "a test says what is wrong by failing")]
-
 use std::{collections::BTreeMap, fs};
 
 use bailando_testkit::motion::{folders, sway, write_motion};

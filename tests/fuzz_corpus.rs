@@ -2,7 +2,7 @@
 //! functions that the targets call.
 
 use bailando::{audio, fuzzing, model};
-use bailando_testkit::{corpus::Corpus, project};
+use bailando_testkit::{corpus::Corpus, model::tiny_dancer, project};
 
 fn corpus(target: &str) -> Corpus {
     Corpus::read(&project("fuzz/corpus"), target)
@@ -15,7 +15,7 @@ fn containers() {
 
 #[test]
 fn options() {
-    let manifest = std::fs::read(project("models/default/manifest.json")).unwrap();
+    let manifest = std::fs::read(tiny_dancer().join("manifest.json")).unwrap();
     let manifest = serde_json::from_slice(&manifest).unwrap();
     corpus("options").run(2_000, |bytes| fuzzing::options(bytes, &manifest));
 }

@@ -7,8 +7,8 @@ use bailando_model::Manifest;
 use libfuzzer_sys::fuzz_target;
 
 static MODEL: LazyLock<Manifest> = LazyLock::new(|| {
-    let text = include_str!("../../models/default/manifest.json");
-    serde_json::from_str(text).expect("the manifest of the default model")
+    let text = include_str!("../../tests/fixtures/model/tiny_dancer/manifest.json");
+    serde_json::from_str(text).expect("a manifest")
 });
 
 fuzz_target!(|bytes: &[u8]| {

@@ -7,9 +7,10 @@ use std::{
     sync::Arc,
 };
 
+use bailando_testkit::{model::tiny, read_json};
 use ndarray::{Array2, Array3, ArrayView1};
 use parking_lot::Mutex;
-use serde_json::{Value, json};
+use serde_json::json;
 use tempfile::TempDir;
 
 use super::code_model::{CodeModel, MotionDecoder};
@@ -24,19 +25,8 @@ const CONTEXT: usize = 28;
 pub(super) fn directory() -> (TempDir, Arc<ModelDirectory>) {
     const GRAPH: &[u8] = b"no graph";
     let folder = tempfile::tempdir().unwrap();
-    let default = bailando_testkit::project("models/default/manifest.json");
-    let mut manifest: Value = serde_json::from_slice(&fs::read(default).unwrap()).unwrap();
-    for (name, value) in [
-        ("motion_frame", json!("world")),
-        ("vocabulary", json!({ "upper": VOCABULARY, "lower": VOCABULARY })),
-        ("start_codes", json!([])),
-        ("suppressed_codes", json!({})),
-        ("files", json!({})),
-    ] {
-        manifest[name] = value;
-    }
-    manifest["features"]["count_periods"] = json!([]);
-    manifest["features"]["columns"] = json!(crate::features::COLUMNS);
+    let mut manifest = read_json(&tiny().join("manifest.json"));
+    manifest["files"] = json!({});
     manifest["decoder"]["receptive_codes"] = json!(4);
     manifest["sampling"] = json!({ "temperature": 1.0, "window": "hop", "hop": 15 });
     for name in ["gpt.onnx", "decoder.onnx", "encoder.onnx"] {

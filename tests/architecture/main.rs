@@ -51,8 +51,8 @@ const CONFINED: [(&[&str], &[&str], &str); 2] = [
     ),
 ];
 
-fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
+fn root() -> PathBuf {
+    bailando_testkit::project("")
 }
 
 /// Folders of all crates, relative to the root.

@@ -6,7 +6,7 @@ use axum::{
 };
 use bailando::server::{Access, Limits, ServerConfig};
 
-use crate::{
+use crate::server::{
     client::{app, app_for, get, post, raw, refuse, send, succeed, with},
     fake::Fake,
 };

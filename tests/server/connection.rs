@@ -9,7 +9,7 @@ use std::{
 
 use bailando::server::{Limits, Seconds};
 
-use crate::{
+use crate::server::{
     client::LONG,
     fake::Fake,
     lifecycle::{Server, get, post},

@@ -29,7 +29,7 @@ use glam::{Quat, Vec3};
 use ndarray::{Array2, Array3};
 use tokio::sync::{Semaphore, oneshot};
 
-use crate::client::LONG;
+use crate::server::client::LONG;
 
 /// Audio that makes the fake wait until [`Fake::release`].
 pub(crate) const BLOCK: &[u8] = b"block";

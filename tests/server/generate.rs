@@ -8,7 +8,7 @@ use axum::{
 };
 use bailando::server::Limits;
 
-use crate::{
+use crate::server::{
     client::{Answer, app, form, raw, refuse, send, succeed, with},
     fake::{Fake, PANIC},
 };

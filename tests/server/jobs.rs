@@ -14,7 +14,7 @@ use axum::{
 use bailando::server::{Limits, Seconds};
 use serde_json::Value;
 
-use crate::{
+use crate::server::{
     client::{app, eventually, get, post, raw, send, small_limits, until_counted},
     fake::{BLOCK, Fake, PANIC},
     lifecycle::{Server, get as get_bytes, post_to},

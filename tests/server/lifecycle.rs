@@ -17,7 +17,7 @@ use tokio::{
     task::JoinHandle,
 };
 
-use crate::{
+use crate::server::{
     client::{LONG, eventually, small_limits},
     fake::{BLOCK, Fake},
 };

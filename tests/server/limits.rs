@@ -20,7 +20,7 @@ use futures_util::{StreamExt, stream};
 use tokio::task::JoinSet;
 use tower::ServiceExt;
 
-use crate::{
+use crate::server::{
     client::{
         Answer, app, eventually, form, get, post, raw, refuse, send, small_limits, spawn, succeed,
         until_counted, with,

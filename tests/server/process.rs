@@ -10,9 +10,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::client::LONG;
+use bailando_testkit::{model::tiny_dancer, read_json};
 
-/// Runs the program without the settings of the environment.
+use crate::server::client::LONG;
+
+/// Runs the program with a tiny model, without the settings of the environment.
 fn bailando(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bailando"));
     command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments);
@@ -22,6 +24,7 @@ fn bailando(arguments: &[&str]) -> Command {
             command.env_remove(name);
         }
     }
+    command.env("BAILANDO_MODEL_DIR", tiny_dancer());
     command
 }
 
@@ -94,9 +97,7 @@ fn wait_until_ready(port: u16) {
 /// Writes a model with an empty file of a terabyte: reading it takes longer than any test.
 fn endless_model(folder: &Path) {
     const BYTES: u64 = 1 << 40;
-    let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/default/manifest.json");
-    let mut manifest: serde_json::Value =
-        serde_json::from_slice(&fs::read(manifest).unwrap()).unwrap();
+    let mut manifest = read_json(&tiny_dancer().join("manifest.json"));
     for (name, file) in manifest["files"].as_object_mut().unwrap() {
         file["bytes"] = BYTES.into();
         let empty = fs::File::create(folder.join(name)).unwrap();

@@ -1,9 +1,8 @@
-//! The service over the default model, with real and with broken audio.
+//! The service over a tiny model, with real and with broken audio.
 
 use std::{
     num::NonZeroUsize,
     panic::panic_any,
-    path::{Path, PathBuf},
     sync::{Arc, LazyLock},
     time::{Duration, Instant},
 };
@@ -20,30 +19,22 @@ use bailando::{
 };
 use serde_json::Value;
 
-use bailando_testkit::wav::{SilentFlac, wav, wav_declaring, wav16};
+use bailando_testkit::{
+    model::tiny_dancer,
+    song,
+    wav::{SilentFlac, wav, wav_declaring, wav16},
+};
 
-use crate::{
+use crate::server::{
     client::{Answer, form, get, post, raw, send},
     streaming::{in_lines, lines},
 };
 
-/// One model for all tests: it takes a while to load.
+/// One model for all tests.
 static MODEL: LazyLock<Engine> = LazyLock::new(|| {
-    let config = ServerConfig {
-        model_dir: std::env::var_os("BAILANDO_MODEL_DIR")
-            .map_or_else(|| project("models/default"), PathBuf::from),
-        ..ServerConfig::default()
-    };
+    let config = ServerConfig { model_dir: tiny_dancer(), ..ServerConfig::default() };
     Engine::open(&config.engine(Arc::new(()))).unwrap()
 });
-
-fn project(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
-}
-
-fn demo(name: &str) -> Vec<u8> {
-    std::fs::read(project("tests/fixtures/audio").join(name)).unwrap()
-}
 
 fn service() -> Router {
     let engine: Arc<dyn Generate> = Arc::new(MODEL.clone());
@@ -61,7 +52,7 @@ async fn every_container_becomes_json_and_bvh_of_its_length() {
     let service = service();
     for name in ["demo.mp3", "demo.flac", "demo.ogg", "demo.m4a", "demo_44k1_8s.wav"] {
         let query = format!("seed=3&duration_s={SECONDS}");
-        let answer = send(&service, raw(&query, demo(name))).await;
+        let answer = send(&service, raw(&query, song(name))).await;
         assert_eq!(answer.status, StatusCode::OK, "{name}: {}", answer.json());
         let dance = answer.json();
         let frames = dance["frames"].as_f64().unwrap();
@@ -69,7 +60,7 @@ async fn every_container_becomes_json_and_bvh_of_its_length() {
         assert_eq!(dance["positions"].as_array().unwrap().len() as f64, frames);
         assert!(dance["music"]["tempo_bpm"].as_f64().unwrap() > 0.0, "{name}");
         assert_eq!(dance["seed"], 3);
-        let parts: [(&str, &[u8]); 3] = [("format", b"bvh"), ("fps", b"30"), ("file", &demo(name))];
+        let parts: [(&str, &[u8]); 3] = [("format", b"bvh"), ("fps", b"30"), ("file", &song(name))];
         let answer = send(&service, form(&query, &parts)).await;
         assert_eq!(answer.status, StatusCode::OK, "{name}");
         let bvh = String::from_utf8(answer.body).unwrap();
@@ -84,7 +75,7 @@ async fn a_seed_repeats_and_another_differs() {
     let service = service();
     let ask = async |query: &str| {
         let query = format!("duration_s=8&music=false{query}");
-        send(&service, raw(&query, demo("demo.ogg"))).await
+        send(&service, raw(&query, song("demo.ogg"))).await
     };
     let first = ask("&seed=1").await;
     assert_eq!(codes(&first), codes(&ask("&seed=1").await));
@@ -100,7 +91,7 @@ async fn a_seed_repeats_and_another_differs() {
 async fn broken_audio_is_refused_quickly_and_the_dance_goes_on() {
     const HOURS: u64 = 10;
     let service = service();
-    let flac = demo("demo.flac");
+    let flac = song("demo.flac");
     let silence = SilentFlac {
         rate: 44_100,
         channels: 8,
@@ -131,7 +122,7 @@ async fn broken_audio_is_refused_quickly_and_the_dance_goes_on() {
             assert_ne!(error_type, "internal", "{name}: {said}");
         }
     }
-    let good = send(&service, raw("duration_s=2", demo("demo.mp3"))).await;
+    let good = send(&service, raw("duration_s=2", song("demo.mp3"))).await;
     assert_eq!(good.status, StatusCode::OK);
 }
 
@@ -151,9 +142,9 @@ async fn a_wav_that_declares_too_much_is_danced_to_with_a_warning() {
 async fn options_that_only_the_model_can_judge_are_refused() {
     let service = service();
     for query in ["start_upper=1000000", "start_lower=1000000", "hop=1000"] {
-        send(&service, raw(query, demo("demo.mp3"))).await.expect_error(400, "invalid_option");
+        send(&service, raw(query, song("demo.mp3"))).await.expect_error(400, "invalid_option");
     }
-    send(&service, raw("offset_s=10000", demo("demo.mp3")))
+    send(&service, raw("offset_s=10000", song("demo.mp3")))
         .await
         .expect_error(400, "invalid_option");
 }
@@ -242,7 +233,7 @@ async fn a_panic_in_any_stage_costs_its_own_request_only() {
     let app = router(engine, Limits::default(), Access::default());
     let ask = |seed: u64| {
         let app = app.clone();
-        let request = raw(&format!("seed={seed}&duration_s=4"), demo("demo.ogg"));
+        let request = raw(&format!("seed={seed}&duration_s=4"), song("demo.ogg"));
         tokio::spawn(async move { send(&app, request).await })
     };
     let undisturbed = codes(&ask(1).await.unwrap());
@@ -265,14 +256,14 @@ async fn a_panic_in_any_stage_costs_its_own_request_only() {
 async fn the_same_song_and_seed_are_the_same_dance_always() {
     let single = ServerConfig {
         threads: Some(NonZeroUsize::MIN),
-        model_dir: project("models/default"),
+        model_dir: tiny_dancer(),
         ..ServerConfig::default()
     };
     let single = Engine::open(&single.engine(Arc::new(()))).unwrap();
     let single = router(Arc::new(single), Limits::default(), Access::default());
     let ask = |app: &Router, seed: u64| {
         let app = app.clone();
-        let request = raw(&format!("seed={seed}&duration_s=6"), demo("demo.ogg"));
+        let request = raw(&format!("seed={seed}&duration_s=6"), song("demo.ogg"));
         tokio::spawn(async move { send(&app, request).await })
     };
     let alone = ask(&single, 7).await.unwrap();
@@ -303,8 +294,8 @@ async fn the_same_song_and_seed_are_the_same_dance_always() {
 #[tokio::test(flavor = "multi_thread")]
 async fn streams_jobs_and_chains_of_the_real_model() {
     let service = service();
-    let dance = send(&service, raw("seed=3&duration_s=5", demo("demo.mp3"))).await;
-    let stream = post("/generate/stream", "seed=3&duration_s=5", demo("demo.mp3"));
+    let dance = send(&service, raw("seed=3&duration_s=5", song("demo.mp3"))).await;
+    let stream = post("/generate/stream", "seed=3&duration_s=5", song("demo.mp3"));
     let events = lines(&send(&service, in_lines(stream)).await);
     let (start, done) = (events.first().unwrap(), events.last().unwrap());
     assert_eq!(done["codes"], codes(&dance));
@@ -314,7 +305,7 @@ async fn streams_jobs_and_chains_of_the_real_model() {
     let tail = dance.header("x-tail").to_owned();
     assert_eq!(dance.json()["tail"], tail);
     let query = format!("seed=4&offset_s=5&duration_s=5&continue_from={tail}");
-    let next = send(&service, raw(&query, demo("demo.mp3"))).await;
+    let next = send(&service, raw(&query, song("demo.mp3"))).await;
     assert_eq!(next.status, StatusCode::OK, "{}", next.json());
     let pose = get(&service, "/codes/1/2").await.json();
     assert_eq!((&pose["frames"], &pose["fps"]), (&32.into(), &60.into()));

@@ -12,7 +12,7 @@ use http_body_util::BodyExt;
 use serde_json::Value;
 use tower::ServiceExt;
 
-use crate::{
+use crate::server::{
     client::{Answer, app, get, post, send, small_limits, until_counted},
     fake::{BLOCK, Fake, LATE_PANIC, PANIC},
 };

@@ -9,12 +9,12 @@ use axum::{
 use bailando::server::{Limits, openapi_json};
 use serde_json::Value;
 
-use crate::{
+use crate::server::{
     client::{app, get, raw, refuse, succeed},
     fake::Fake,
 };
 
-/// `UPDATE_OPENAPI=1 cargo test --test server openapi` rewrites the committed document.
+/// `UPDATE_OPENAPI=1 cargo test -p bailando --test main openapi` rewrites the committed document.
 #[test]
 fn openapi_document_is_the_committed_one() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("openapi/openapi.json");
@@ -26,7 +26,8 @@ fn openapi_document_is_the_committed_one() {
     let committed = std::fs::read_to_string(&path).unwrap();
     assert!(
         committed == current,
-        "openapi/openapi.json is out of date: UPDATE_OPENAPI=1 cargo test --test server openapi"
+        "openapi/openapi.json is out of date: UPDATE_OPENAPI=1 cargo test -p bailando --test main \
+         openapi"
     );
 }
 

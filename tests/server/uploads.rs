@@ -18,7 +18,7 @@ use bytes::Bytes;
 use futures_util::{StreamExt, stream};
 use http_body_util::BodyExt;
 
-use crate::{
+use crate::server::{
     client::{Answer, app, form, raw, refuse, send, small_limits, succeed, until_counted},
     fake::Fake,
 };

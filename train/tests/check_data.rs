@@ -1,6 +1,5 @@
 //! `check-data` as a person meets it, and over the real folders.
 
-use crate::common;
 use crate::testing;
 use std::{
     path::Path,
@@ -8,6 +7,7 @@ use std::{
 };
 
 use crate::testing::TestFolder;
+use bailando_testkit::shared;
 use bailando_train::{
     data::{
         Dataset, OpenOptions,
@@ -99,8 +99,7 @@ fn topics(report: &Report) -> Vec<Topic> {
 
 #[test]
 fn the_salsa_set_is_as_its_description_says() {
-    let test = "the_salsa_set_is_as_its_description_says";
-    let Some(folder) = common::shared(test, "data/salsa") else {
+    let Some(folder) = shared("data/salsa") else {
         return;
     };
     let report = report(&folder, 3);
@@ -121,13 +120,12 @@ fn the_salsa_set_is_as_its_description_says() {
 
 #[test]
 fn the_ballroom_sample_and_the_motion_without_music_are_usable() {
-    let test = "the_ballroom_sample_and_the_motion_without_music_are_usable";
-    let Some(folder) = common::shared(test, "data/dance-with-melody-sample") else {
+    let Some(folder) = shared("data/dance-with-melody-sample") else {
         return;
     };
     let sample = report(&folder, 2);
     assert!(sample.findings.is_empty(), "{sample}");
-    let folder = common::shared(test, "data/extra-motion").unwrap();
+    let folder = shared("data/extra-motion").unwrap();
     let motion = report(&folder, 0);
     assert_eq!(topics(&motion), [Topic::NoTest, Topic::NoMusic, Topic::Layout]);
     assert_eq!(motion.splits[0].dances, 33);

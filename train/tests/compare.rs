@@ -3,6 +3,7 @@
 use crate::common::imported;
 use crate::testing::TestFolder;
 use bailando::model::WeightStorage;
+use bailando_testkit::model::tiny;
 use bailando_train::{
     compare::{CompareOptions, Comparison, compare},
     data::Split,
@@ -11,11 +12,10 @@ use bailando_train::{
 };
 
 fn compared(weights: WeightStorage) -> Comparison {
-    let (original, _) = imported(|_| {});
     let (other, _) = imported(|options| options.description.weights = weights);
     let (data, cache) = (TestFolder::good(&skeleton(0.93)), tempfile::tempdir().unwrap());
     let options = CompareOptions {
-        original: original.path().join("model"),
+        original: tiny(),
         model: other.path().join("model"),
         recordings: Recordings {
             data: data.write().to_owned(),

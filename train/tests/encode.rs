@@ -1,8 +1,9 @@
 //! `encode`: recordings through a model, against the golden codes (ARCHITECTURE section 5).
 
-use crate::common::{codes, fixture, floats, imported};
+use crate::common::{codes, fixture, floats};
 use crate::testing::TestFolder;
-use bailando::model::code_pairs;
+use bailando::model::{ModelDirectory, code_pairs};
+use bailando_testkit::model::tiny;
 use bailando_train::{
     data::Split,
     encode::{EncodeOptions, encode},
@@ -21,13 +22,12 @@ fn golden_positions() -> Array3<f32> {
 
 #[test]
 fn recordings_get_the_golden_codes_and_are_decoded_again() {
-    let (folder, directory) = imported(|_| {});
     let mut data = TestFolder::good(&skeleton(0.93));
     data.motion("three.npy", &golden_positions());
     data.set("three_a", "frames", 240.into());
     let out = tempfile::tempdir().unwrap();
     let options = EncodeOptions {
-        model: folder.path().join("model"),
+        model: tiny(),
         data: data.write().to_owned(),
         split: Split::Test,
         out: out.path().to_owned(),
@@ -42,7 +42,7 @@ fn recordings_get_the_golden_codes_and_are_decoded_again() {
     let positions: Array3<f32> = ndarray_npy::read_npy(out.path().join("three_a.npy")).unwrap();
     let halves = [0, 1].map(|half| found.row(half).iter().map(|&code| code as u32).collect());
     let [upper, lower]: [Vec<u32>; 2] = halves;
-    let mut decoder = directory.decoder(1).unwrap();
+    let mut decoder = ModelDirectory::open(&tiny()).unwrap().decoder(1).unwrap();
     let decoded = decoder.decode(&code_pairs(&upper, &lower).unwrap());
     let decoded = decoded.unwrap();
     assert_eq!(positions.dim(), (240, 24, 3));

@@ -1,4 +1,4 @@
-//! The integration tests of the trainer but `batch`: one binary, for each links everything.
+//! The integration tests of the trainer: one binary, for each links everything.
 
 #![allow(
     clippy::unwrap_used,
@@ -10,23 +10,19 @@ mod common;
 #[path = "../src/data/testing.rs"]
 mod testing;
 
-mod batching;
 mod check_data;
-mod codebook;
 mod command;
 mod compare;
-mod dancer_frame;
-mod default_model;
 mod encode;
+mod export;
 mod fuzz_corpus;
 mod generate;
-mod golden;
 #[cfg(unix)]
 mod kill;
 mod music_gap;
 mod networks;
 mod policy;
-mod sampling;
 mod strangers;
+mod tiny_models;
 mod training;
 mod training_data;

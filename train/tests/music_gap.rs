@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use crate::common::imported;
 use crate::testing::{TestFolder, clicks};
+use bailando_testkit::model::tiny;
 use bailando_train::{
     data::Split,
     encode::EncodeError,
@@ -16,10 +16,9 @@ use bailando_train::{
 const CODES: usize = 3 * 2 * 29;
 
 fn measured(data: &TestFolder) -> Result<MusicGap, EncodeError> {
-    let (folder, _) = imported(|_| {});
     let cache = tempfile::tempdir().unwrap();
     music_gap(&MusicGapOptions {
-        model: folder.path().join("model"),
+        model: tiny(),
         recordings: Recordings {
             data: data.write().to_owned(),
             audio: None,

@@ -12,6 +12,8 @@
 //! [`ModelDirectory`] then opens the graphs: [`Gpt`] with its [`KvCache`], [`Decoder`] and
 //! [`Encoder`].
 
+#[cfg(test)]
+mod batch_tests;
 mod cache;
 mod directory;
 mod embedded;
@@ -20,7 +22,7 @@ mod gpt;
 mod manifest;
 mod runtime;
 mod session;
-mod suppressed;
+mod vocabulary;
 mod vqvae;
 
 pub use cache::KvCache;
@@ -29,11 +31,11 @@ pub use error::ModelError;
 pub use gpt::{Gpt, Logits, NextStep, Steps};
 pub use manifest::{
     DecoderSpec, FORMAT_VERSION, FeatureSpec, FileEntry, GptSpec, MAX_CANDIDATES,
-    MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, SamplingDefaults, Vocabulary,
-    WeightStorage, WindowKind,
+    MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, SamplingDefaults, WeightStorage,
+    WindowKind,
 };
 pub use runtime::LIBRARY_VARIABLE;
-pub use suppressed::SuppressedCodes;
+pub use vocabulary::{SuppressedCodes, Vocabulary};
 pub use vqvae::{Decoder, Encoder, code_pairs};
 
 /// Whether a graph passes the checks of a model directory; for the fuzz target `graph`.

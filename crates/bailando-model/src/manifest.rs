@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::SuppressedCodes;
+use super::{SuppressedCodes, Vocabulary};
 use bailando_features::{COLUMNS, HOP, Profile, Rate};
 use bailando_motion::{MotionFrame, Skeleton};
 
@@ -77,16 +77,6 @@ pub struct FeatureSpec {
     /// ([`with_counts`](bailando_features::with_counts)); none: as published.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub count_periods: Vec<u32>,
-}
-
-/// Number of pose codes per half body.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Vocabulary {
-    /// Codes of the upper half.
-    pub upper: usize,
-    /// Codes of the lower half.
-    pub lower: usize,
 }
 
 /// Sizes of the motion GPT.

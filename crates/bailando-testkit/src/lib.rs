@@ -21,6 +21,7 @@
 
 pub mod arrays;
 pub mod corpus;
+pub mod model;
 pub mod motion;
 pub mod sound;
 pub mod wav;

@@ -1,7 +1,8 @@
 //! Helpers of the integration tests.
 
+pub(crate) mod dancer;
+
 use std::{
-    ops::Range,
     path::{Path, PathBuf},
     process::{Command, Output},
     sync::{Mutex, MutexGuard, PoisonError},
@@ -18,35 +19,19 @@ use bailando_train::{
     import::{ImportOptions, import},
     weights::{GptWeights, VqVaeWeights},
 };
-use ndarray::{Array1, Array2, Array3, ArrayView2, Axis, Slice};
+use ndarray::Array3;
 use tempfile::TempDir;
+
+pub(crate) use bailando_testkit::arrays::{assert_close, codes, floats, rows};
 
 /// Largest absolute difference that float32 results may have (ARCHITECTURE section 5).
 pub(crate) const TOLERANCE: f32 = 2e-5;
 /// Heads of the golden models.
 pub(crate) const HEADS: usize = 4;
 
-fn workspace() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
-/// Path of shared test material, or `None` with one line on standard output when there is none; a
-/// missing file inside it is the caller's failure.
-pub(crate) fn shared(test: &str, relative: &str) -> Option<PathBuf> {
-    let root = match std::env::var_os("BAILANDO_SHARED") {
-        Some(root) => PathBuf::from(root),
-        None => workspace().join("../shared"),
-    };
-    if std::env::var_os("BAILANDO_SHARED").is_none() && !root.is_dir() {
-        println!("skipped: {test} needs BAILANDO_SHARED");
-        return None;
-    }
-    Some(root.join(relative))
-}
-
 /// Path of a golden file that the repository owns.
 pub(crate) fn fixture(name: &str) -> PathBuf {
-    workspace().join("tests/fixtures/model").join(name)
+    bailando_testkit::fixture("model").join(name)
 }
 
 /// The pose VQ-VAE of the golden models.
@@ -122,29 +107,6 @@ pub(crate) fn imported(mut change: impl FnMut(&mut ImportOptions)) -> (TempDir, 
     (folder, directory)
 }
 
-pub(crate) fn floats(path: &Path) -> Array2<f32> {
-    ndarray_npy::read_npy(path).unwrap()
-}
-
-pub(crate) fn codes(path: &Path) -> Vec<u32> {
-    let codes: Array1<i64> = ndarray_npy::read_npy(path).unwrap();
-    codes.iter().map(|&code| u32::try_from(code).unwrap()).collect()
-}
-
-/// Fails where two arrays differ by more than `tolerance`, and says by how much.
-#[track_caller]
-pub(crate) fn assert_close(
-    found: &Array2<f32>,
-    expected: &Array2<f32>,
-    tolerance: f32,
-    what: &str,
-) {
-    assert_eq!(found.dim(), expected.dim(), "{what}: shape");
-    let difference = found.iter().zip(expected).map(|(a, b)| (a - b).abs());
-    let worst = difference.fold(0.0_f32, f32::max);
-    assert!(worst <= tolerance, "{what}: differs by {worst:e}");
-}
-
 /// 8 seconds of joints that swing at different rates while the root walks.
 pub(crate) fn swinging(phase: f32) -> Array3<f32> {
     Array3::from_shape_fn((480, 24, 3), |(frame, joint, axis)| {
@@ -152,9 +114,4 @@ pub(crate) fn swinging(phase: f32) -> Array3<f32> {
         let swing = (time * (2.0 + (joint % 4) as f32) + axis as f32).sin();
         0.05 * joint as f32 * swing + 0.3 * (time + axis as f32).sin()
     })
-}
-
-/// Some rows of a matrix.
-pub(crate) fn rows(matrix: &Array2<f32>, range: Range<usize>) -> ArrayView2<'_, f32> {
-    matrix.slice_axis(Axis(0), Slice::from(range))
 }

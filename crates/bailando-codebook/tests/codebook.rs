@@ -1,22 +1,31 @@
 //! The codebook of the golden model as numbers, as sheets and as a page.
 
-use crate::common::{alone, imported};
-use bailando::{
-    codebook::{Catalogue, Half, Order, Uses},
-    formats::Codes,
-    model::ModelDirectory,
-};
+#![allow(clippy::unwrap_used, reason = "helpers of tests: failing loudly is their job")]
+
+use bailando_codebook::{Catalogue, Half, Order, Uses};
+use bailando_formats::Codes;
+use bailando_model::ModelDirectory;
+use bailando_testkit::model::{changed, tiny, tiny_dancer};
 use ndarray::Array2;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tempfile::TempDir;
 
 const CODES: usize = 16;
 /// Joints that the lower half decodes.
 const LOWER: [usize; 9] = [0, 1, 2, 4, 5, 7, 8, 10, 11];
 
-/// A model whose name needs care in XML.
+/// A model whose name needs care in XML, and another change to its manifest.
+fn changed_model(change: impl FnOnce(&mut Value)) -> (TempDir, ModelDirectory) {
+    let folder = changed(&tiny(), |manifest| {
+        manifest["name"] = "tiny <&> co".into();
+        change(manifest);
+    });
+    let directory = ModelDirectory::open(folder.path()).unwrap();
+    (folder, directory)
+}
+
 fn model() -> (TempDir, ModelDirectory) {
-    imported(|options| options.description.name = "tiny <&> co".into())
+    changed_model(|_| {})
 }
 
 fn catalogue(directory: &ModelDirectory) -> Catalogue {
@@ -58,32 +67,35 @@ fn count(svg: &str, element: &str) -> usize {
 
 #[test]
 fn every_pose_is_the_middle_of_its_repeated_code() {
-    let _alone = alone();
-    let (_folder, directory) = model();
-    let json = serde_json::to_value(catalogue(&directory)).unwrap();
-    assert_eq!(json["motion_frame"], "world");
-    assert_eq!(json["skeleton"]["joints"].as_array().unwrap().len(), 24);
-    let mut decoder = directory.decoder(1).unwrap();
-    let mut still = |upper: usize, lower: usize| -> Array2<f32> {
-        let motion = decoder.decode(&[[upper as u32, lower as u32]; 12]).unwrap();
-        let mut pose = motion.row(48).to_owned();
-        // The root's velocity is no part of a pose.
-        (0..3).for_each(|axis| pose[axis] = 0.0);
-        pose.into_shape_with_order((24, 3)).unwrap()
-    };
-    let neutral = |half: &str| json[half]["neutral"].as_u64().unwrap() as usize;
-    let (upper, lower) = (neutral("upper"), neutral("lower"));
-    for code in 0..CODES {
-        for (half, expected) in [("upper", still(code, lower)), ("lower", still(upper, code))] {
-            let entry = &json[half]["codes"][code];
-            assert_eq!(entry["code"], code);
-            assert!(entry.get("uses").is_none());
-            let pose = entry["pose"].as_array().unwrap();
-            assert_eq!(pose.len(), 24);
-            for (joint, place) in pose.iter().enumerate() {
-                let expected = [0, 1, 2].map(|axis| f64::from(expected[[joint, axis]]));
-                let apart = distance(point(place), expected);
-                assert!(apart < 1e-5, "{half} {code}, joint {joint}: {apart}");
+    let (_folder, world) = model();
+    // Poses are those that are decoded, not yet turned.
+    let dancer = ModelDirectory::open(&tiny_dancer()).unwrap();
+    for (directory, frame) in [(world, "world"), (dancer, "dancer")] {
+        let json = serde_json::to_value(catalogue(&directory)).unwrap();
+        assert_eq!(json["motion_frame"], frame);
+        assert_eq!(json["skeleton"]["joints"].as_array().unwrap().len(), 24);
+        let mut decoder = directory.decoder(1).unwrap();
+        let mut still = |upper: usize, lower: usize| -> Array2<f32> {
+            let motion = decoder.decode(&[[upper as u32, lower as u32]; 12]).unwrap();
+            let mut pose = motion.row(48).iter().copied().take(72).collect::<Vec<_>>();
+            // The root's velocity is no part of a pose.
+            pose[..3].fill(0.0);
+            Array2::from_shape_vec((24, 3), pose).unwrap()
+        };
+        let neutral = |half: &str| json[half]["neutral"].as_u64().unwrap() as usize;
+        let (upper, lower) = (neutral("upper"), neutral("lower"));
+        for code in 0..CODES {
+            for (half, expected) in [("upper", still(code, lower)), ("lower", still(upper, code))] {
+                let entry = &json[half]["codes"][code];
+                assert_eq!(entry["code"], code);
+                assert!(entry.get("uses").is_none());
+                let pose = entry["pose"].as_array().unwrap();
+                assert_eq!(pose.len(), 24);
+                for (joint, place) in pose.iter().enumerate() {
+                    let expected = [0, 1, 2].map(|axis| f64::from(expected[[joint, axis]]));
+                    let apart = distance(point(place), expected);
+                    assert!(apart < 1e-5, "{frame} {half} {code}, joint {joint}: {apart}");
+                }
             }
         }
     }
@@ -91,7 +103,6 @@ fn every_pose_is_the_middle_of_its_repeated_code() {
 
 #[test]
 fn the_nearest_code_is_at_the_smallest_mean_distance_of_the_halfs_joints() {
-    let _alone = alone();
     let (_folder, directory) = model();
     let json = serde_json::to_value(catalogue(&directory)).unwrap();
     let upper: Vec<usize> = (0..24).filter(|joint| !LOWER.contains(joint)).collect();
@@ -119,7 +130,6 @@ fn the_nearest_code_is_at_the_smallest_mean_distance_of_the_halfs_joints() {
 
 #[test]
 fn a_sheet_has_a_numbered_figure_for_every_code() {
-    let _alone = alone();
     let (_folder, directory) = model();
     let catalogue = catalogue(&directory);
     for (half, title) in [(Half::Upper, "Upper"), (Half::Lower, "Lower")] {
@@ -134,6 +144,11 @@ fn a_sheet_has_a_numbered_figure_for_every_code() {
         assert_eq!(count(&svg, "polyline"), 7 * CODES);
         assert_eq!(count(&svg, "circle"), 2 * CODES);
     }
+    // A code in the dancer's frame faces no way, so it has no dial.
+    let dancer = ModelDirectory::open(&tiny_dancer()).unwrap();
+    let dancer = Catalogue::new(&dancer, 1, None, 4).unwrap();
+    let svg = dancer.sheet(Half::Upper, 6, Order::Number).unwrap();
+    assert_eq!(count(&svg, "circle"), CODES);
     // A row is never wider than there are codes.
     let svg = catalogue.sheet(Half::Upper, 900, Order::Number).unwrap();
     assert!(svg.starts_with("<svg width=\"2560\" height=\"276\""), "{}", &svg[..90]);
@@ -141,7 +156,6 @@ fn a_sheet_has_a_numbered_figure_for_every_code() {
 
 #[test]
 fn counted_codes_are_labelled_and_sorted_by_use() {
-    let _alone = alone();
     let (_folder, directory) = model();
     let uses = counted(&directory);
     let catalogue = Catalogue::new(&directory, 1, Some(&uses), 4).unwrap();
@@ -155,7 +169,6 @@ fn counted_codes_are_labelled_and_sorted_by_use() {
 
 #[test]
 fn strips_show_counted_changes_else_start_codes_else_evenly_drawn_ones() {
-    let _alone = alone();
     let strips = |directory: &ModelDirectory, uses: Option<&Uses>, most| {
         let catalogue = Catalogue::new(directory, 1, uses, most).unwrap();
         let svg = catalogue.transitions_sheet().unwrap();
@@ -170,16 +183,15 @@ fn strips_show_counted_changes_else_start_codes_else_evenly_drawn_ones() {
     assert_eq!(strips(&directory, Some(&uses), 4), counted);
     assert_eq!(strips(&directory, None, 2), "0 / 0 → 8 / 8 8 / 8 → 0 / 0");
 
-    let starts = tempfile::NamedTempFile::new().unwrap();
-    std::fs::write(starts.path(), "[[1, 2], [3, 4], [3, 4], [5, 6]]").unwrap();
-    let (_folder, directory) = imported(|o| o.start_codes = Some(starts.path().to_owned()));
+    let (_folder, directory) = changed_model(|manifest| {
+        manifest["start_codes"] = json!([[1, 2], [3, 4], [3, 4], [5, 6]]);
+    });
     let drawn = "1 / 2 → 3 / 4 3 / 4 → 5 / 6 5 / 6 → 1 / 2";
     assert_eq!(strips(&directory, None, 9), drawn);
 }
 
 #[test]
 fn the_page_holds_every_sheet_and_needs_nothing_else() {
-    let _alone = alone();
     let (_folder, directory) = model();
     let catalogue = catalogue(&directory);
     let page = catalogue.page(4, Order::Number).unwrap();

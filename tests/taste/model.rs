@@ -1,15 +1,16 @@
 //! The model that ships: whole, loadable, documented and small enough.
 
-use std::{fs, path::Path};
+use std::fs;
 
-use bailando::model::ModelDirectory;
+use bailando::model::{Manifest, ModelDirectory};
+use bailando_testkit::project;
 
 /// What a clone may weigh for the sake of its first dance.
 const LIMIT_BYTES: u64 = 40_000_000;
 
 #[test]
 fn the_default_model_is_whole() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/default");
+    let folder = project("models/default");
     let directory = ModelDirectory::open(&folder).unwrap();
     directory.gpt(1).unwrap();
     directory.encoder(1).unwrap();
@@ -28,12 +29,18 @@ fn the_default_model_is_whole() {
     assert!(card.contains("mocap.cs.cmu.edu"), "the data's owner is not acknowledged");
 }
 
+#[test]
+fn its_manifest_is_unchanged_by_reading_and_writing() {
+    let text = fs::read_to_string(project("models/default/manifest.json")).unwrap();
+    let manifest: Manifest = serde_json::from_str(&text).unwrap();
+    assert_eq!(serde_json::to_string_pretty(&manifest).unwrap() + "\n", text);
+}
+
 /// ARCHITECTURE section 7: one code repeated decodes to a still pose. That is why one frame can
 /// stand for a code in `bailando codebook`.
 #[test]
 fn a_repeated_code_stands_still_and_another_one_moves() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/default");
-    let directory = ModelDirectory::open(&folder).unwrap();
+    let directory = ModelDirectory::open(&project("models/default")).unwrap();
     let mut decoder = directory.decoder(1).unwrap();
     let mut moved = |codes: &[u32]| {
         let codes: Vec<_> = codes.iter().map(|&code| [code; 2]).collect();
@@ -69,8 +76,7 @@ fn a_repeated_code_stands_still_and_another_one_moves() {
 #[test]
 fn codes_of_a_pelvis_near_the_ground_are_suppressed_and_no_others() {
     const LOWEST: f32 = 0.6;
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/default");
-    let directory = ModelDirectory::open(&folder).unwrap();
+    let directory = ModelDirectory::open(&project("models/default")).unwrap();
     let mut decoder = directory.decoder(1).unwrap();
     let mut is_low = |code: u32| {
         let motion = decoder.decode(&[[0, code]; 9]).unwrap();

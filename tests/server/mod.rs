@@ -1,12 +1,5 @@
 //! The HTTP service in process: through the router, and through a socket where that matters.
 
-#![allow(
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    reason = "a test that fails panics, in its helpers as well"
-)]
-
 mod access;
 mod client;
 mod connection;

@@ -1,9 +1,6 @@
 //! Model directories from strangers: nothing outside of the folder is read, nothing is allocated
 //! because a file says so, and nothing takes forever.
 
-#![allow(clippy::unwrap_used, reason = "tests stop where something is not as it should be")]
-
-#[path = "strangers/onnx.rs"]
 mod onnx;
 
 use std::{
@@ -14,6 +11,7 @@ use std::{
 };
 
 use bailando_model::{ModelDirectory, ModelError, file_sha256};
+use bailando_testkit::{model::tiny_dancer, read_json};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -27,8 +25,7 @@ struct Stranger {
 
 impl Stranger {
     fn new() -> Self {
-        let path = bailando_testkit::project("models/default/manifest.json");
-        let mut manifest: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
+        let mut manifest = read_json(&tiny_dancer().join("manifest.json"));
         manifest["files"] = json!({});
         let mut new = Self { outer: tempfile::tempdir().unwrap(), manifest };
         fs::create_dir(new.folder()).unwrap();

@@ -1,9 +1,17 @@
-//! Codes that a model knows and never draws.
+//! The pose codes of a model, and those that it never draws.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::Vocabulary;
+/// Number of pose codes per half body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Vocabulary {
+    /// Codes of the upper half.
+    pub upper: usize,
+    /// Codes of the lower half.
+    pub lower: usize,
+}
 
 /// Codes of each half that are never drawn: poses that a dancer cannot hold alone, say. Given
 /// codes, and those of a dance that is gone on with, may be among them.

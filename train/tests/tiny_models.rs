@@ -1,0 +1,98 @@
+//! The models that tests of the service run are what the trainer writes, and the same bytes from
+//! every container of the golden checkpoints.
+//!
+//! `UPDATE_MODELS=1 cargo test -p bailando-train --test main tiny_models` writes them again.
+
+use std::{fs, path::Path};
+
+use crate::common::{
+    dancer::{counting, turning},
+    fixture, imported, options,
+};
+use bailando::{
+    features::Profile,
+    model::{SuppressedCodes, WeightStorage},
+    motion::MotionFrame,
+};
+use bailando_testkit::{
+    model::{tiny, tiny_dancer},
+    shared,
+};
+use bailando_train::{
+    export::{Description, write_model_directory},
+    import::import,
+    onnx::InputRanges,
+};
+
+const FILES: [&str; 4] = ["manifest.json", "gpt.onnx", "decoder.onnx", "encoder.onnx"];
+const COUNT_PERIODS: [u32; 2] = [1, 4];
+
+/// Writes the model of the golden checkpoints.
+fn write_tiny(out: &Path) {
+    let mut options = options(&fixture("tiny_vqvae.pt"), &fixture("tiny_gpt.pt"), out);
+    options.replace = true;
+    import(&options).unwrap();
+}
+
+/// Writes a model with all that was added to the published one.
+fn write_tiny_dancer(out: &Path) {
+    let gpt = counting(COUNT_PERIODS.len());
+    let description = Description {
+        name: "tiny dancer".into(),
+        profile: Profile::Librosa011,
+        count_periods: COUNT_PERIODS.into(),
+        start_codes: vec![[8, 3], [0, 15], [11, 4]],
+        suppressed_codes: SuppressedCodes { upper: vec![7], lower: vec![2, 9] },
+        temperature: 1.0,
+        guidance: 1.5,
+        candidates: 2,
+        redo: true,
+        hop: 4,
+        motion_frame: MotionFrame::Dancer,
+        weights: WeightStorage::Int8,
+        ..options(Path::new(""), Path::new(""), out).description
+    };
+    let ranges = InputRanges::default();
+    write_model_directory(out, true, &gpt, &ranges, &turning(), &description).unwrap();
+}
+
+/// Fails where a file of two model directories differs.
+fn assert_same_files(found: &Path, expected: &Path, what: &str) {
+    for name in FILES {
+        let [found, expected] = [found, expected].map(|folder| fs::read(folder.join(name)));
+        assert!(found.unwrap() == expected.unwrap(), "{what}: {name} has other bytes");
+    }
+}
+
+#[test]
+fn the_tiny_models_are_what_the_trainer_writes() {
+    for (model, write) in
+        [(tiny(), write_tiny as fn(&Path)), (tiny_dancer(), write_tiny_dancer as fn(&Path))]
+    {
+        if std::env::var_os("UPDATE_MODELS").is_some() {
+            write(&model);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let written = folder.path().join("model");
+        write(&written);
+        assert_same_files(&written, &model, "written anew");
+    }
+}
+
+#[test]
+fn every_container_of_the_golden_checkpoints_gives_the_same_model() {
+    let Some(golden) = shared("model/golden") else {
+        return;
+    };
+    for (vqvae, gpt) in [
+        ("tiny_vqvae_legacy.pt", "tiny_gpt_legacy.pt"),
+        ("tiny_vqvae_torch16.pt", "tiny_gpt_torch16.pt"),
+        ("tiny_vqvae.pt", "tiny_gpt_nocritic.pt"),
+    ] {
+        let (folder, _) = imported(|options| {
+            options.vqvae = golden.join(vqvae);
+            options.gpt = golden.join(gpt);
+        });
+        assert_same_files(&folder.path().join("model"), &tiny(), gpt);
+    }
+}
