@@ -22,6 +22,7 @@
 pub mod arrays;
 pub mod corpus;
 pub mod motion;
+pub mod ogg;
 pub mod sound;
 pub mod wav;
 
