@@ -173,6 +173,10 @@ def containers():
         "flac-song": flac_fixture(),
         "ogg-song": ogg_fixture(12),
         "m4a-song": m4a_fixture(6),
+        "ogg-opus-song": (AUDIO / "cases/speech_60ms.opus").read_bytes(),
+        "webm-opus": (AUDIO / "cases/opus.webm").read_bytes(),
+        "m4a-of-fragments": (AUDIO / "cases/fragments.mp4").read_bytes(),
+        "wav-of-no-size": wav(1, 8000, 16, ramp(800, 2), declared=0),
     }
     mp3 = (AUDIO / "demo.mp3").read_bytes()
     frames = mp3[mp3.index(b"\xff\xfb") :]

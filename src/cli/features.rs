@@ -16,7 +16,7 @@ use super::console::{Usage, positive_seconds, read_file, say, say_error};
 /// Write a song's music features as a NumPy file
 #[derive(Debug, clap::Args)]
 pub(super) struct FeaturesArgs {
-    /// The song: wav, flac, mp3, ogg/vorbis or m4a/aac. A wav already at the rate is not resampled
+    /// The song: wav, aiff, flac, mp3, ogg, webm or m4a. A wav already at the rate is not resampled
     audio: PathBuf,
     /// The file to write: float32 [rows, 438], and two more columns per count period
     #[arg(short, long, value_name = "OUT.npy")]

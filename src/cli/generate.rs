@@ -30,7 +30,7 @@ use super::{
 /// Make dances from audio files, or codes and positions from feature rows
 #[derive(Debug, clap::Args)]
 pub(super) struct GenerateArgs {
-    /// Songs (wav, flac, mp3, ogg/vorbis, m4a/aac) or folders of them
+    /// Songs (wav, aiff, flac, mp3, ogg, webm, m4a) or folders of them
     #[arg(required_unless_present = "features", conflicts_with = "features")]
     audio: Vec<PathBuf>,
     #[command(flatten)]

@@ -10,7 +10,10 @@ use anyhow::Context;
 use super::console::Usage;
 
 /// Extensions of the audio files in a folder; a single file is recognised by its bytes.
-const EXTENSIONS: [&str; 7] = ["wav", "flac", "mp3", "ogg", "oga", "m4a", "mp4"];
+const EXTENSIONS: [&str; 14] = [
+    "wav", "aif", "aiff", "aifc", "flac", "mp3", "ogg", "oga", "opus", "webm", "mka", "m4a", "mp4",
+    "mov",
+];
 
 /// Lists the files of `inputs`; a folder stands for the audio files directly inside it, by name.
 pub(super) fn audio_files(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {

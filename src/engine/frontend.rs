@@ -67,7 +67,11 @@ impl AudioFrontend {
         progress.stage(Stage::Features);
         let conditioning =
             spent(&mut timings.features, "features", || self.features(audio.signals, cancel))?;
-        Ok(Conditioning { warnings: audio.warnings, ..conditioning })
+        let mut warnings = audio.warnings;
+        if with_beats && conditioning.beats.is_empty() {
+            warnings.push("no beats were found in the audio: the dance follows none".to_owned());
+        }
+        Ok(Conditioning { warnings, ..conditioning })
     }
 
     /// Features, and beats where there is a second signal for them.

@@ -26,7 +26,7 @@ pub struct GenerationRequest {
 
 /// The music of a request.
 pub enum MusicSource {
-    /// An audio file: wav, flac, mp3, ogg/vorbis or m4a/aac.
+    /// An audio file: wav, aiff, flac, mp3, ogg, webm (vorbis, opus) or m4a (aac, alac).
     Audio(Bytes),
     /// Feature rows `[rows, columns]` as the manifest's features say. They carry no beats to the
     /// frame, so that there is one candidate for every segment.

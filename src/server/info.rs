@@ -8,7 +8,7 @@ use super::{
     options::{self, OptionInfo},
 };
 use crate::{
-    audio::Container,
+    audio::FORMATS,
     formats::OutputFormat,
     model::{Manifest, WindowKind},
     motion::FRAME_RATES,
@@ -118,7 +118,7 @@ impl Info {
                 name: format.name(),
                 content_type: format.content_type(),
             }),
-            audio: Container::ALL.map(Container::name).to_vec(),
+            audio: FORMATS.to_vec(),
             limits: Bounds {
                 memory_per_request_bytes: limits.memory_per_request(),
                 limits: limits.clone(),

@@ -96,7 +96,9 @@ impl PartialSchema for AudioFile {
         ObjectBuilder::new()
             .schema_type(Type::String)
             .format(Some(SchemaFormat::KnownFormat(KnownFormat::Binary)))
-            .description(Some("The song: wav, flac, mp3, ogg/vorbis or m4a/aac."))
+            .description(Some(
+                "The song: wav, aiff, flac, mp3, ogg, webm (vorbis, opus) or m4a (aac, alac).",
+            ))
             .into()
     }
 }

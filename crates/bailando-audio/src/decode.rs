@@ -4,9 +4,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use bailando_core::CancelToken;
 use bytes::Bytes;
-use symphonia::core::errors::Error as SymphoniaError;
+use symphonia::core::{audio::GenericAudioBufferRef, errors::Error as SymphoniaError};
 
 use crate::{
+    codec,
     container::Container,
     demux::Demuxer,
     downmix::Downmix,
@@ -15,9 +16,10 @@ use crate::{
     gapless::Trim,
     headers,
     limits::{AudioLimits, AudioRange, Deadline, DecodeRequest},
-    ogg,
+    resample::Resampler,
     sink::{DecodedAudio, Sink},
-    sniff::{Upload, sniff},
+    sniff::sniff,
+    upload::Upload,
 };
 
 /// Decodes `bytes`, mixes all channels to one and resamples to each of `rates` (Hz) while decoding.
@@ -51,7 +53,15 @@ pub fn decode(
         let request = DecodeRequest { range, rates, limits, deadline: &deadline };
         let upload = sniff(&bytes)?;
         headers::check(&upload, &request)?;
-        Pass::open(&upload, &request)?.run()
+        let mut pass = Pass::open(&upload, &request)?;
+        pass.run()?;
+        let Some(channel) = pass.downmix.cancelled() else { return pass.finish() };
+        // The channels cancel each other: one of them alone is the song.
+        drop(pass);
+        let mut pass = Pass::open(&upload, &request)?;
+        pass.downmix = Downmix::of_channel(channel);
+        pass.run()?;
+        pass.finish()
     })
 }
 
@@ -68,12 +78,19 @@ fn contained<T>(work: impl FnOnce() -> Result<T, AudioError>) -> Result<T, Audio
     })
 }
 
+/// The warning about a song that has nothing to dance to.
+const SILENT: &str = "the audio is silent: the dance follows no music";
+
 /// One pass over the packets of a file.
 struct Pass<'a> {
     upload: &'a Upload,
     request: &'a DecodeRequest<'a>,
     demuxer: Demuxer,
     downmix: Downmix,
+    /// Another sample rate that the stream has come to, and its way to the first one.
+    bridge: Option<(u32, Resampler)>,
+    /// The sample rates that the stream came to after its first.
+    further_rates: Vec<u32>,
     /// Made for the format of the first good packet.
     sink: Option<Sink<'a>>,
     good: usize,
@@ -92,6 +109,8 @@ impl<'a> Pass<'a> {
             request,
             demuxer: Demuxer::open(upload)?,
             downmix: Downmix::default(),
+            bridge: None,
+            further_rates: Vec::new(),
             sink: None,
             good: 0,
             damaged: 0,
@@ -102,7 +121,9 @@ impl<'a> Pass<'a> {
     }
 
     /// Decodes all packets that the range needs.
-    fn run(mut self) -> Result<DecodedAudio, AudioError> {
+    fn run(&mut self) -> Result<(), AudioError> {
+        /// Packets that may be damaged before most have to be good: a minute and a half of music.
+        const DAMAGED_AT_FIRST: usize = 4_096;
         let mut decoder = self.demuxer.decoder()?;
         while let Some(packet) = self.demuxer.next(self.request)? {
             match self.demuxer.gap_before(&packet) {
@@ -114,11 +135,7 @@ impl<'a> Pass<'a> {
                 Ok(buffer) => {
                     self.good += 1;
                     if buffer.frames() > 0 {
-                        let (rate, channels) = (buffer.spec().rate(), buffer.spec().channels());
-                        self.prepare_sink(rate, channels.count())?;
-                        if let Some(sink) = &mut self.sink {
-                            sink.push(self.downmix.mix(&buffer))?;
-                        }
+                        self.take(&buffer)?;
                     }
                 }
                 Err(SymphoniaError::ResetRequired) => {
@@ -128,32 +145,67 @@ impl<'a> Pass<'a> {
                 Err(error) => {
                     let seconds = self.demuxer.track.seconds(&packet);
                     self.lose(seconds, &error.to_string())?;
+                    if self.damaged > self.good + DAMAGED_AT_FIRST {
+                        return Err(self.mostly_damaged(self.damaged));
+                    }
                 }
             }
             if self.sink.as_ref().is_some_and(Sink::is_done) {
                 break;
             }
         }
-        self.finish()
+        self.end_bridge()?;
+        self.sink.as_mut().map_or(Ok(()), Sink::end)
     }
 
-    /// Makes the sink at the first good packet, and refuses another sample rate later.
+    /// Mixes a decoded packet and passes it on.
+    fn take(&mut self, buffer: &GenericAudioBufferRef<'_>) -> Result<(), AudioError> {
+        let (rate, channels) = (buffer.spec().rate(), buffer.spec().channels());
+        self.prepare_sink(rate, channels.count())?;
+        let mono = self.downmix.mix(buffer);
+        let Some(sink) = &mut self.sink else { return Ok(()) };
+        match &mut self.bridge {
+            None => sink.push(mono),
+            Some((_, resampler)) => {
+                let mut resampled = Vec::new();
+                resampler.process(mono, &mut resampled);
+                sink.push(&resampled)
+            }
+        }
+    }
+
+    /// Makes the sink at the first good packet, and a bridge to it where the rate changes later.
     fn prepare_sink(&mut self, rate: u32, channels: usize) -> Result<(), AudioError> {
         self.request.limits.check_format(rate, channels)?;
-        match &self.sink {
-            None => {
-                let trim = Trim::plan(self.upload, &self.demuxer.track, rate);
-                let mut sink = Sink::new(trim, rate, channels, self.request)?;
-                sink.push_silence(self.lost_in_front_s)?;
-                self.sink = Some(sink);
-                Ok(())
-            }
-            Some(sink) if sink.rate != rate => Err(AudioError::Malformed {
-                container: self.upload.container,
-                reason: format!("its sample rate changes from {} to {rate} Hz", sink.rate),
-            }),
-            Some(_) => Ok(()),
+        let Some(sink) = &self.sink else {
+            let trim = Trim::plan(self.upload, &self.demuxer.track, rate);
+            let mut sink = Sink::new(trim, rate, channels, self.request)?;
+            sink.push_silence(self.lost_in_front_s)?;
+            self.sink = Some(sink);
+            return Ok(());
+        };
+        let first = sink.rate;
+        if self.bridge.as_ref().map_or(first, |(rate, _)| *rate) == rate {
+            return Ok(());
         }
+        self.end_bridge()?;
+        if rate != first {
+            self.bridge = Some((rate, Resampler::new(rate, first)));
+            if !self.further_rates.contains(&rate) {
+                self.further_rates.push(rate);
+            }
+        }
+        Ok(())
+    }
+
+    /// Passes on what a bridge still holds.
+    fn end_bridge(&mut self) -> Result<(), AudioError> {
+        let (Some((_, resampler)), Some(sink)) = (self.bridge.take(), &mut self.sink) else {
+            return Ok(());
+        };
+        let mut rest = Vec::new();
+        resampler.finish(&mut rest);
+        sink.push(&rest)
     }
 
     /// Counts lost audio. Silence in its place keeps the beats after it where they are.
@@ -172,21 +224,11 @@ impl<'a> Pass<'a> {
     /// Judges what was decoded, and puts the result together.
     fn finish(mut self) -> Result<DecodedAudio, AudioError> {
         let container = self.upload.container;
-        if container == Container::Ogg && !ogg::is_whole(&self.upload.bytes) {
-            self.demuxer.state.cut_off = true;
-        }
         let damaged = self.damaged + self.demuxer.state.faults;
         if damaged > self.good {
-            let fault = self.last_fault.as_deref().unwrap_or("malformed stream");
-            return Err(AudioError::Malformed {
-                container,
-                reason: format!(
-                    "{damaged} of {} packets could not be decoded (the last: {fault})",
-                    damaged + self.good
-                ),
-            });
+            return Err(self.mostly_damaged(damaged));
         }
-        let Some(mut sink) = self.sink.take() else {
+        let Some(sink) = self.sink.take() else {
             if self.demuxer.state.cut_off {
                 return Err(AudioError::Malformed {
                     container,
@@ -198,9 +240,19 @@ impl<'a> Pass<'a> {
                 min_seconds: self.request.limits.min_seconds,
             });
         };
-        sink.end()?;
         let warnings = self.warnings(&sink);
         sink.finish(warnings)
+    }
+
+    fn mostly_damaged(&self, damaged: usize) -> AudioError {
+        let fault = self.last_fault.as_deref().unwrap_or("malformed stream");
+        AudioError::Malformed {
+            container: self.upload.container,
+            reason: format!(
+                "{damaged} of {} packets could not be decoded (the last: {fault})",
+                damaged + self.good
+            ),
+        }
     }
 
     fn warnings(&self, sink: &Sink<'_>) -> Vec<String> {
@@ -225,7 +277,17 @@ impl<'a> Pass<'a> {
             .chained
             .then(|| "only the first of several streams in the file is used".to_owned());
         let short = if sink.is_done() { None } else { self.cut_short(sink) };
-        [sink.note(), lost, cut, impossible, chained, short].into_iter().flatten().collect()
+        let rates = (!self.further_rates.is_empty()).then(|| {
+            format!(
+                "the sample rate changes from {} to {:?} Hz within the file: all of it is resampled",
+                sink.rate, self.further_rates
+            )
+        });
+        let core = codec::note(&self.demuxer.track.parameters);
+        let notes = [sink.note(), lost, cut, impossible, chained, short, rates, core];
+        let heard = [self.downmix.note(), sink.is_silent().then(|| SILENT.to_owned())];
+        let assumed = self.upload.assumed.iter().cloned();
+        assumed.chain(notes.into_iter().chain(heard).flatten()).collect()
     }
 
     /// Returns a warning when the file holds less audio than it declares.

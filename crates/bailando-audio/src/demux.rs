@@ -1,100 +1,41 @@
 //! Reads an upload packet by packet: the one place that knows symphonia's readers, and which of
 //! their errors end a file and which only cost a packet.
 
-use std::{
-    collections::VecDeque,
-    io::{self, Cursor, ErrorKind, Read, Seek, SeekFrom},
-};
+use std::{collections::VecDeque, io::ErrorKind};
 
-use bytes::Bytes;
 use symphonia::{
     core::{
-        codecs::{
-            CodecParameters,
-            audio::{
-                AudioCodecParameters, AudioDecoder, AudioDecoderOptions, CODEC_ID_NULL_AUDIO,
-                well_known::{
-                    CODEC_ID_AAC, CODEC_ID_AC3, CODEC_ID_ADPCM_IMA_WAV, CODEC_ID_ADPCM_MS,
-                    CODEC_ID_ALAC, CODEC_ID_EAC3, CODEC_ID_OPUS,
-                },
-            },
-        },
+        codecs::CodecParameters,
         errors::Error as SymphoniaError,
-        formats::{FormatOptions, FormatReader, TrackType},
-        io::{MediaSource, MediaSourceStream, ReadBytes},
+        formats::{FormatOptions, FormatReader, Track, TrackType},
+        io::{MediaSourceStream, ReadBytes},
         packet::Packet,
-        units::TimeBase,
     },
-    default::{
-        formats::{FlacReader, IsoMp4Reader, MpaReader, OggReader, WavReader},
-        get_codecs,
-    },
+    default::formats::{AiffReader, FlacReader, IsoMp4Reader, WavReader},
 };
 
 use crate::{
+    codec::Decoder,
     container::Container,
     error::AudioError,
     flac::{self, Gap},
     limits::{DecodeRequest, SLACK_S},
-    sniff::Upload,
+    mp3::Mp3Reader,
+    mp4_tables,
+    ogg::OggReader,
+    packets::{PacketReader, TrackInfo, refusal},
+    rope::Rope,
+    upload::Upload,
+    webm::WebmReader,
 };
 
 /// Reader errors in a row after which a file is given up.
 const MAX_FAULTS_IN_A_ROW: usize = 32;
+/// Reader errors in all after which a file is given up: each may have cost some reading.
+const MAX_FAULTS: usize = 1_024;
 /// Bytes of packets that are read ahead of the decoder. Hours of silence fit into less, so that a
 /// decode bomb is refused before its first packet is decoded.
 const READ_AHEAD: usize = 4 << 20;
-
-/// The bytes of an upload behind symphonia's trait.
-struct Source {
-    cursor: Cursor<Bytes>,
-    seekable: bool,
-}
-
-impl Read for Source {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        self.cursor.read(buffer)
-    }
-}
-
-impl Seek for Source {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.cursor.seek(to)
-    }
-}
-
-impl MediaSource for Source {
-    fn is_seekable(&self) -> bool {
-        self.seekable
-    }
-
-    fn byte_len(&self) -> Option<u64> {
-        Some(self.cursor.get_ref().len() as u64)
-    }
-}
-
-/// Properties of the audio track as the file declares them; no memory is reserved for them.
-#[derive(Clone, Debug)]
-pub(crate) struct TrackInfo {
-    pub(crate) id: u32,
-    pub(crate) parameters: AudioCodecParameters,
-    time_base: Option<TimeBase>,
-    /// Frames declared, without encoder delay and padding.
-    pub(crate) frames: Option<u64>,
-    /// Encoder delay in frames (the LAME tag of MP3).
-    pub(crate) delay: Option<u32>,
-    /// Encoder padding in frames (the LAME tag of MP3).
-    pub(crate) padding: Option<u32>,
-}
-
-impl TrackInfo {
-    /// Returns the seconds that a packet says it lasts.
-    pub(crate) fn seconds(&self, packet: &Packet) -> f64 {
-        self.time_base.map_or(0.0, |base| {
-            packet.dur.get() as f64 * f64::from(base.numer.get()) / f64::from(base.denom.get())
-        })
-    }
-}
 
 /// Faults of the container up to some packet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -109,7 +50,7 @@ pub(crate) struct StreamState {
 
 /// The packets of an upload's audio track.
 pub(crate) struct Demuxer {
-    reader: Box<dyn FormatReader>,
+    reader: Box<dyn PacketReader>,
     pub(crate) container: Container,
     pub(crate) track: TrackInfo,
     /// State of the stream at the packet that was taken last.
@@ -132,11 +73,24 @@ impl Demuxer {
     /// Reads the headers of `upload`.
     pub(crate) fn open(upload: &Upload) -> Result<Self, AudioError> {
         let container = upload.container;
-        let reader = open_reader(upload).map_err(|error| refusal(container, &error))?;
-        let track = audio_track(reader.as_ref(), container)?;
+        let (reader, track): (Box<dyn PacketReader>, TrackInfo) = match container {
+            Container::Ogg => boxed(OggReader::open(&upload.bytes)?),
+            Container::Webm => boxed(WebmReader::open(&upload.bytes)?),
+            Container::Mp3 => boxed(Mp3Reader::open(&upload.bytes)?),
+            Container::M4a => boxed(open_movie(upload)?),
+            Container::Wav | Container::Aiff | Container::Flac => {
+                let reader = open_reader(container, Rope::new(upload.view.clone(), true))
+                    .map_err(|error| refusal(container, &error))?;
+                let track = audio_track(reader.as_ref(), container)?;
+                boxed((reader, track))
+            }
+        };
         let hz = track.parameters.sample_rate.unwrap_or_default();
-        let gaps = (container == Container::Flac)
-            .then(|| flac::Gaps::new(&upload.bytes, track.frames, hz));
+        let gaps = match container {
+            Container::Flac => Some(flac::Gaps::new(&upload.bytes, track.frames, hz)),
+            Container::Ogg => Some(flac::Gaps::from_zero(hz)),
+            _ => None,
+        };
         Ok(Self {
             reader,
             container,
@@ -152,18 +106,9 @@ impl Demuxer {
         })
     }
 
-    /// Returns a decoder for the track. Only Ogg's trimming is left to it; see [`crate::gapless`].
-    pub(crate) fn decoder(&self) -> Result<Box<dyn AudioDecoder>, AudioError> {
-        let options = AudioDecoderOptions::default().gapless(self.container == Container::Ogg);
-        get_codecs().make_audio_decoder(&self.track.parameters, &options).map_err(|error| {
-            match error {
-                SymphoniaError::Unsupported(what) => AudioError::UnsupportedCodec {
-                    container: self.container,
-                    codec: codec_words(&self.track.parameters, what),
-                },
-                other => refusal(self.container, &other),
-            }
-        })
+    /// Returns a decoder for the track.
+    pub(crate) fn decoder(&self) -> Result<Decoder, AudioError> {
+        Decoder::new(self.container, &self.track.parameters)
     }
 
     /// Returns what is missing between the packet before `packet` and itself.
@@ -242,7 +187,7 @@ impl Demuxer {
                 Err(_) => {
                     state.faults += 1;
                     faults_in_a_row += 1;
-                    if faults_in_a_row >= MAX_FAULTS_IN_A_ROW {
+                    if faults_in_a_row >= MAX_FAULTS_IN_A_ROW || state.faults >= MAX_FAULTS {
                         return Ok(None);
                     }
                 }
@@ -256,26 +201,55 @@ fn cost(packet: &Packet) -> usize {
     size_of::<Packet>() + packet.data.len()
 }
 
-fn open_reader(upload: &Upload) -> Result<Box<dyn FormatReader>, SymphoniaError> {
-    let source = Source {
-        cursor: Cursor::new(upload.bytes.clone()),
-        // An MP3 without a Xing header would be cut at a length guessed from its first bit rate
-        // if the reader could look at the end; sequentially it is read as far as it goes.
-        seekable: upload.container != Container::Mp3,
-    };
+fn boxed<R: PacketReader + 'static>(
+    (reader, track): (R, TrackInfo),
+) -> (Box<dyn PacketReader>, TrackInfo) {
+    (Box::new(reader), track)
+}
+
+fn open_reader(
+    container: Container,
+    source: Rope,
+) -> Result<Box<dyn FormatReader>, SymphoniaError> {
     let mut stream = MediaSourceStream::new(Box::new(source), Default::default());
     let options = FormatOptions::default();
-    Ok(match upload.container {
-        Container::Wav => Box::new(WavReader::try_new(stream, options)?),
+    Ok(match container {
+        Container::Aiff => Box::new(AiffReader::try_new(stream, options)?),
         Container::Flac => Box::new(FlacReader::try_new(stream, options)?),
-        Container::Mp3 => Box::new(MpaReader::try_new(stream, options)?),
-        Container::Ogg => Box::new(OggReader::try_new(stream, options)?),
         Container::M4a => {
             // This reader expects to stand after the size of the first atom, and steps back.
             stream.read_quad_bytes()?;
             Box::new(IsoMp4Reader::try_new(stream, options)?)
         }
+        _ => Box::new(WavReader::try_new(stream, options)?),
     })
+}
+
+/// Opens a movie with all tracks but the first one hidden that can be decoded. A track that another
+/// codec keeps from being used may be the file's first.
+fn open_movie(upload: &Upload) -> Result<(Box<dyn FormatReader>, TrackInfo), AudioError> {
+    let container = upload.container;
+    let open = |chosen| {
+        let view = mp4_tables::view(&upload.bytes, chosen)?;
+        open_reader(container, Rope::new(view, true)).map_err(|error| refusal(container, &error))
+    };
+    let reader = open(None)?;
+    let decodable = |track: &&Track| match &track.codec_params {
+        Some(CodecParameters::Audio(parameters)) => Decoder::new(container, parameters).is_ok(),
+        _ => false,
+    };
+    let sound = reader.tracks().iter().filter(|track| is_audio(track));
+    let chosen = sound.clone().find(decodable).map(|track| track.id);
+    let reader = match chosen.filter(|_| reader.tracks().len() > 1) {
+        Some(_) => open(chosen)?,
+        None => reader,
+    };
+    let track = audio_track(reader.as_ref(), container)?;
+    Ok((reader, track))
+}
+
+fn is_audio(track: &Track) -> bool {
+    matches!(track.codec_params, Some(CodecParameters::Audio(_)))
 }
 
 fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackInfo, AudioError> {
@@ -298,43 +272,4 @@ fn audio_track(reader: &dyn FormatReader, container: Container) -> Result<TrackI
         delay: track.delay,
         padding: track.padding,
     })
-}
-
-/// Names a codec: symphonia names only those it was built with.
-fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
-    let words = match parameters.codec {
-        CODEC_ID_AAC => "AAC of another profile than LC with 1 or 2 channels (HE-AAC, for example)",
-        CODEC_ID_ALAC => "Apple Lossless (ALAC)",
-        CODEC_ID_OPUS => "Opus",
-        CODEC_ID_AC3 | CODEC_ID_EAC3 => "Dolby Digital (AC-3)",
-        CODEC_ID_ADPCM_MS | CODEC_ID_ADPCM_IMA_WAV => "ADPCM (only PCM samples are read)",
-        CODEC_ID_NULL_AUDIO => "an unknown codec",
-        other => {
-            return match get_codecs().get_audio_decoder(other) {
-                Some(decoder) => format!(
-                    "{} in a form that is not supported ({reason})",
-                    decoder.codec.info.long_name
-                ),
-                None => format!("a codec without a decoder here (number {other})"),
-            };
-        }
-    };
-    words.to_owned()
-}
-
-/// Translates an error of reading the headers.
-fn refusal(container: Container, error: &SymphoniaError) -> AudioError {
-    match error {
-        SymphoniaError::IoError(error) if error.kind() == ErrorKind::UnexpectedEof => {
-            AudioError::Malformed { container, reason: "it ends inside its header".to_owned() }
-        }
-        SymphoniaError::Unsupported(what) if what.contains("missing") => {
-            AudioError::Malformed { container, reason: (*what).to_owned() }
-        }
-        SymphoniaError::Unsupported(what) => AudioError::UnsupportedCodec {
-            container,
-            codec: format!("something unsupported ({what})"),
-        },
-        other => AudioError::Malformed { container, reason: other.to_string() },
-    }
 }

@@ -3,6 +3,40 @@
 use bytes::Bytes;
 use symphonia::core::{packet::Packet, units::Timestamp};
 
+use crate::{container::Container, rope, upload::Upload};
+
+/// Returns a FLAC file as an upload. Some encoders leave the block sizes of the header at 0; the
+/// frames themselves say whether all blocks have one size (section 9.1), which symphonia asks the
+/// header.
+pub(crate) fn repaired(file: Bytes) -> Upload {
+    const SIZES: usize = 8;
+    const SMALLEST: u16 = 16;
+    let size = |at: usize| file.get(at..)?.first_chunk().map(|size| u16::from_be_bytes(*size));
+    let mut upload = Upload::new(Container::Flac, file.clone());
+    let (Some(least), Some(most)) = (size(SIZES), size(SIZES + 2)) else { return upload };
+    if least >= SMALLEST && most >= SMALLEST {
+        return upload;
+    }
+    let start = audio_start(&file).unwrap_or(file.len());
+    let fixed = file.get(start + 1).is_some_and(|second| second & 1 == 0);
+    let most = if most >= SMALLEST { most } else { block_size(&file, start).unwrap_or(u16::MAX) };
+    let least = if fixed { most } else { SMALLEST };
+    let sizes = [least.to_be_bytes(), most.to_be_bytes()].concat();
+    upload.view = rope::repaired(&file, vec![(SIZES, sizes)]);
+    upload
+}
+
+/// Returns the size of the block whose frame starts at `at`, where its code stands for one size
+/// (section 9.1.1).
+fn block_size(file: &[u8], at: usize) -> Option<u16> {
+    match file.get(at + 2)? >> 4 {
+        1 => Some(192),
+        code @ 2..=5 => Some(576 << (code - 2)),
+        code @ 8..=15 => Some(256 << (code - 8)),
+        _ => None,
+    }
+}
+
 /// Returns sample rate, channels and declared frames (0: unknown) of a FLAC file.
 pub(crate) fn stream_info(bytes: &[u8]) -> Option<(u32, usize, u64)> {
     const MARKER_AND_HEADER: usize = 8;
@@ -62,6 +96,11 @@ impl Gaps {
             declared,
             hz: hz.max(1),
         }
+    }
+
+    /// Prepares for packets whose times start at 0.
+    pub(crate) fn from_zero(hz: u32) -> Self {
+        Self { expected: Timestamp::ZERO, audio: None, declared: None, hz: hz.max(1) }
     }
 
     /// Returns what is missing between the packet before `packet` and itself.

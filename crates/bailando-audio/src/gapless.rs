@@ -1,16 +1,20 @@
 //! Takes the encoder's lead-in and padding off a decoded stream (FEATURES section 1: otherwise it
 //! would be about 25 ms late).
 //!
-//! Ogg: the demuxer and decoder do it from the page positions. MP3: delay and padding of the LAME
+//! Ogg and WebM: packets say how much the decoder takes off. MP3: delay and padding of the LAME
 //! tag; the padding is taken off only when the stream is as long as its header says, so that files
-//! joined from several or cut short lose nothing. M4A: the edit list or iTunes' tag. WAV and FLAC
-//! have none.
+//! joined from several or cut short lose nothing. M4A: the edit list or iTunes' tag; it may also let
+//! the sound start late. WAV, AIFF and FLAC have none.
 
-use crate::{container::Container, demux::TrackInfo, mp4, sniff::Upload};
+use symphonia::core::codecs::audio::well_known::{CODEC_ID_AAC, CODEC_ID_OPUS};
+
+use crate::{container::Container, mp4, packets::TrackInfo, upload::Upload};
 
 /// Streaming cut of the ends of a mono signal.
 #[derive(Debug, Default)]
 pub(crate) struct Trim {
+    /// Frames of silence in front.
+    pub(crate) silence: u64,
     /// Frames still to be dropped in front.
     skip: u64,
     /// Frames still to be let through, if that is known from the start.
@@ -29,22 +33,26 @@ impl Trim {
     /// Plans the cut for a stream whose decoder delivers `rate` frames a second.
     pub(crate) fn plan(upload: &Upload, track: &TrackInfo, rate: u32) -> Self {
         match upload.container {
-            Container::Mp3 => Self::of_mp3(track),
+            Container::Mp3 => Self::of_mp3(track, "MP3"),
             Container::M4a => Self::of_m4a(upload, track, rate),
-            Container::Wav | Container::Flac | Container::Ogg => Self::default(),
+            Container::Webm if track.parameters.codec == CODEC_ID_AAC => {
+                Self::of_mp3(track, "Matroska")
+            }
+            _ => Self::default(),
         }
     }
 
-    fn of_mp3(track: &TrackInfo) -> Self {
+    /// A stream of which nobody says where its sound starts.
+    fn unknown(name: &str) -> Self {
+        let note = format!(
+            "the {name} file does not state its encoder delay: the music may start up to 50 ms late"
+        );
+        Self { note: Some(note), ..Self::default() }
+    }
+
+    fn of_mp3(track: &TrackInfo, name: &str) -> Self {
         let Some(delay) = track.delay else {
-            return Self {
-                note: Some(
-                    "the MP3 file does not state its encoder delay: the music may start up to \
-                     50 ms late"
-                        .to_owned(),
-                ),
-                ..Self::default()
-            };
+            return Self::unknown(name);
         };
         let padding = track.padding.unwrap_or(0);
         let ends = u64::from(delay) + u64::from(padding);
@@ -62,14 +70,8 @@ impl Trim {
         const ROUNDING_S: f64 = 1.5e-3;
         let declared = track.parameters.sample_rate.unwrap_or(rate);
         let Some(audible) = mp4::audible(&upload.bytes, track.id, declared) else {
-            return Self {
-                note: Some(
-                    "the M4A file does not state its encoder delay: the music may start up to \
-                     50 ms late"
-                        .to_owned(),
-                ),
-                ..Self::default()
-            };
+            let lossless = ![CODEC_ID_AAC, CODEC_ID_OPUS].contains(&track.parameters.codec);
+            return if lossless { Self::default() } else { Self::unknown("M4A") };
         };
         let frames = |seconds: f64| (seconds * f64::from(rate)).round() as u64;
         let media_s = track.frames.map(|frames| frames as f64 / f64::from(declared.max(1)));
@@ -81,7 +83,12 @@ impl Trim {
             }
             (length, _) => length,
         };
-        Self { skip: frames(audible.start_s), keep: length_s.map(frames), ..Self::default() }
+        Self {
+            silence: frames(audible.silence_s),
+            skip: frames(audible.start_s),
+            keep: length_s.map(frames),
+            ..Self::default()
+        }
     }
 
     /// Returns a warning about the cut.

@@ -1,7 +1,7 @@
 //! Audio files to mono PCM at the rates the features need; limits are enforced while decoding.
 //!
 //! A song goes one way through the files of this crate: `sniff` detects the container, `headers`
-//! checks what it declares, `demux` reads packets, `decode` decodes them, `downmix` mixes the
+//! checks what it declares, `demux` reads packets, `codec` decodes them, `downmix` mixes the
 //! channels, `gapless` trims the encoder's delay, `sink` cuts the wanted range, `resample`
 //! converts the rate.
 //!
@@ -27,10 +27,12 @@
 //! # }
 //! ```
 
+mod codec;
 mod container;
 mod decode;
 mod demux;
 mod downmix;
+mod ebml;
 mod error;
 mod flac;
 #[doc(hidden)]
@@ -40,15 +42,25 @@ mod headers;
 mod id3;
 mod kernel;
 mod limits;
+mod mp3;
 mod mp4;
+mod mp4_tables;
 mod mpeg;
 mod ogg;
+mod ogg_page;
+mod opus;
 mod outputs;
+mod packets;
 mod resample;
+mod riff;
+mod rope;
 mod sink;
 mod sniff;
+mod upload;
+mod vorbis;
+mod webm;
 
-pub use container::Container;
+pub use container::{Container, FORMATS};
 pub use decode::decode;
 pub use error::AudioError;
 pub use limits::{AudioLimits, AudioRange};

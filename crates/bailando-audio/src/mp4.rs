@@ -8,6 +8,8 @@ const MAX_CHILDREN: usize = 1024;
 /// The audible part of an audio track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Audible {
+    /// Seconds of silence before the sound starts.
+    pub(crate) silence_s: f64,
     /// Seconds of lead-in to cut off.
     pub(crate) start_s: f64,
     /// Seconds to keep after it; absent: to the end.
@@ -18,7 +20,21 @@ pub(crate) struct Audible {
 /// `rate` is the track's sample rate in Hz. `None`: the file does not say.
 pub(crate) fn audible(file: &[u8], track_id: u32, rate: u32) -> Option<Audible> {
     let movie = child(file, b"moov")?;
-    itunes_gapless(movie, rate).or_else(|| edit_list(movie, track_id))
+    let edits = edit_list(movie, track_id);
+    let silence_s = edits.map_or(0.0, |edits| edits.silence_s);
+    itunes_gapless(movie, rate).map(|tag| Audible { silence_s, ..tag }).or(edits)
+}
+
+/// Returns whether a file is a movie: it starts with its type, or, as old QuickTime files do, with
+/// another box, and has a table of contents.
+pub(crate) fn is_movie(file: &[u8]) -> bool {
+    match file.get(4..8) {
+        Some(b"ftyp") => true,
+        Some(b"moov" | b"mdat" | b"wide" | b"free" | b"skip" | b"pnot") => {
+            child(file, b"moov").is_some()
+        }
+        _ => false,
+    }
 }
 
 /// Iterates over the children of a box as (type, payload) until one does not fit.
@@ -61,12 +77,13 @@ fn itunes_gapless(movie: &[u8], rate: u32) -> Option<Audible> {
         return None;
     }
     Some(Audible {
+        silence_s: 0.0,
         start_s: delay as f64 / f64::from(rate),
         length_s: Some(frames as f64 / f64::from(rate)),
     })
 }
 
-/// Returns the first edit that shows media. With several such edits only the lead-in is applied.
+/// Returns the first edit that is heard. With several such edits only the lead-in is applied.
 fn edit_list(movie: &[u8], track_id: u32) -> Option<Audible> {
     let movie_scale = timescale(child(movie, b"mvhd")?)?;
     let track = children(movie)
@@ -77,6 +94,7 @@ fn edit_list(movie: &[u8], track_id: u32) -> Option<Audible> {
     let list = child(child(track, b"edts")?, b"elst")?;
     let long = *list.first()? == 1;
     let entries = list.get(8..)?.chunks_exact(if long { 20 } else { 12 });
+    let mut silence = 0_u64;
     let mut shown = entries.take(MAX_CHILDREN.min(u32_be(list, 4)? as usize)).filter_map(|entry| {
         let (duration, start) = if long {
             (u64_be(entry, 0)?, u64_be(entry, 8)?.cast_signed())
@@ -84,13 +102,20 @@ fn edit_list(movie: &[u8], track_id: u32) -> Option<Audible> {
             let start = u32_be(entry, 4)?.cast_signed();
             (u64::from(u32_be(entry, 0)?), i64::from(start))
         };
-        // A start of -1 is an empty edit: it shows nothing for a while.
-        u64::try_from(start).ok().map(|start| (duration, start))
+        Some((duration, start))
     });
-    let (duration, start) = shown.next()?;
+    // A start of -1 is an empty edit: nothing is heard for a while.
+    let (duration, start) = loop {
+        let (duration, start) = shown.next()?;
+        match u64::try_from(start) {
+            Ok(start) => break (duration, start),
+            Err(_) => silence = silence.saturating_add(duration),
+        }
+    };
     // A duration of 0 is what fragmented files write for "to the end".
-    let whole = duration > 0 && shown.next().is_none();
+    let whole = duration > 0 && !shown.any(|(_, start)| start >= 0);
     Some(Audible {
+        silence_s: silence as f64 / movie_scale,
         start_s: start as f64 / media_scale,
         length_s: whole.then_some(duration as f64 / movie_scale),
     })
@@ -157,11 +182,14 @@ mod tests {
     }
 
     #[test]
-    fn empty_and_several_edits_give_the_start_alone() {
+    fn an_empty_edit_is_silence_and_several_give_the_start_alone() {
         let empty = [500, u32::MAX, 0x1_0000];
         let file = movie(&[empty, [1_000, 2_048, 0x1_0000], [1_000, 99_000, 0x1_0000]], &[]);
         let found = audible(&file, 1, 44_100).unwrap();
         assert_eq!((found.start_s, found.length_s), (2_048.0 / 44_100.0, None));
+        assert_eq!(found.silence_s, 0.5);
+        let single = movie(&[empty, [1_000, 0, 0x1_0000]], &[]);
+        assert_eq!(audible(&single, 1, 44_100).unwrap().length_s, Some(1.0));
     }
 
     #[test]

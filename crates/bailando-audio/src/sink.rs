@@ -34,6 +34,8 @@ pub(crate) struct Sink<'a> {
     received: u64,
     window: Window,
     outputs: Outputs,
+    /// Loudest sample that was used.
+    peak: f32,
 }
 
 /// The wanted part in frames of the upload.
@@ -66,7 +68,7 @@ impl Window {
 impl<'a> Sink<'a> {
     /// Plans for audio of `rate` Hz.
     pub(crate) fn new(
-        trim: Trim,
+        mut trim: Trim,
         rate: u32,
         channels: usize,
         request: &'a DecodeRequest<'a>,
@@ -77,7 +79,8 @@ impl<'a> Sink<'a> {
             end: request.range.duration_s.map(|_| frames(request.range.end_s())),
             position: 0,
         };
-        Ok(Self {
+        let silence = std::mem::take(&mut trim.silence);
+        let mut sink = Self {
             request,
             trim,
             rate,
@@ -85,7 +88,23 @@ impl<'a> Sink<'a> {
             received: 0,
             window,
             outputs: Outputs::new(rate, request.rates).map_err(AudioError::NoThread)?,
-        })
+            peak: 0.0,
+        };
+        sink.start_late(silence)?;
+        Ok(sink)
+    }
+
+    /// Puts silence in front of the sound, after which its lead-in is cut.
+    fn start_late(&mut self, mut frames: u64) -> Result<(), AudioError> {
+        const PIECE: [f32; 1024] = [0.0; 1024];
+        self.request.limits.check_length(frames as f64 / f64::from(self.rate))?;
+        while frames > 0 && !self.is_done() {
+            self.request.deadline.check()?;
+            let piece = &PIECE[..frames.min(PIECE.len() as u64) as usize];
+            self.outputs.push(&piece[self.window.advance(piece.len())]);
+            frames -= piece.len() as u64;
+        }
+        self.check_length()
     }
 
     /// Returns whether the end of the wanted part has been reached.
@@ -102,8 +121,12 @@ impl<'a> Sink<'a> {
     pub(crate) fn push(&mut self, mono: &[f32]) -> Result<(), AudioError> {
         self.received += mono.len() as u64;
         self.request.limits.check_length(self.received_s() - SLACK_S)?;
-        let (window, outputs) = (&mut self.window, &mut self.outputs);
-        self.trim.pass(mono, |audible| outputs.push(&audible[window.advance(audible.len())]));
+        let (window, outputs, peak) = (&mut self.window, &mut self.outputs, &mut self.peak);
+        self.trim.pass(mono, |audible| {
+            let used = &audible[window.advance(audible.len())];
+            *peak = used.iter().fold(*peak, |peak, sample| peak.max(sample.abs()));
+            outputs.push(used);
+        });
         self.check_length()
     }
 
@@ -132,6 +155,12 @@ impl<'a> Sink<'a> {
     fn check_length(&self) -> Result<(), AudioError> {
         let seconds = self.window.counted() as f64 / f64::from(self.rate);
         self.request.limits.check_length(seconds)
+    }
+
+    /// Returns whether nothing was heard: one step of 16 bits is the loudest (-90 dB).
+    pub(crate) fn is_silent(&self) -> bool {
+        const STEP: f32 = 1.0 / 32_768.0;
+        self.peak <= STEP
     }
 
     /// Returns a warning about the trim.

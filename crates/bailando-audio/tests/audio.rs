@@ -77,7 +77,7 @@ mod formats {
     use super::*;
 
     #[test]
-    fn all_five_decode_the_same_song() {
+    fn all_decode_the_same_song() {
         let flac = decode(fixture("demo.flac"), &[LOW, HIGH]).unwrap();
         assert_eq!((flac.sample_rate, flac.channels), (32_000, 1));
         assert_eq!(flac.duration_s, 30.0);
@@ -240,6 +240,8 @@ mod ranges {
 }
 #[path = "audio/bombs.rs"]
 mod bombs;
+#[path = "audio/cases.rs"]
+mod cases;
 #[path = "audio/damage.rs"]
 mod damage;
 #[path = "audio/limits.rs"]

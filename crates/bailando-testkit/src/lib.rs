@@ -23,6 +23,7 @@ pub mod arrays;
 pub mod corpus;
 pub mod model;
 pub mod motion;
+pub mod ogg;
 pub mod sound;
 pub mod wav;
 

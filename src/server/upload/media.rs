@@ -14,10 +14,12 @@ pub(crate) enum Media {
 }
 
 impl Media {
-    /// Reads `Content-Type` and `Content-Encoding`. The audio's own format is read from its bytes.
+    /// Reads `Content-Type` and `Content-Encoding`. What the audio is is read from its bytes; phones
+    /// and browsers call it `video/webm`, `application/x-flac` and much else.
     ///
     /// # Errors
-    /// [`ServerError::UnsupportedMedia`] for compressed bodies and for types that are not audio.
+    /// [`ServerError::UnsupportedMedia`] for compressed bodies and for types that mean something
+    /// else than a file.
     pub(crate) fn of(headers: &HeaderMap) -> Result<Self, ServerError> {
         let text = |name| {
             headers
@@ -38,20 +40,23 @@ impl Media {
         let kind = content_type.split(';').next().unwrap_or_default().trim();
         match kind {
             "multipart/form-data" => Ok(Self::Form),
-            // `curl --data-binary @song.mp3` names no type of its own and sends the form one.
-            ""
-            | "application/octet-stream"
-            | "application/ogg"
-            | "application/x-www-form-urlencoded"
-            | "video/mp4" => Ok(Self::Raw),
-            _ if kind.starts_with("audio/") => Ok(Self::Raw),
-            _ => Err(ServerError::UnsupportedMedia(format!(
-                "content type {:?} is not accepted: send multipart/form-data with part `file`, \
-                 or audio/* or application/octet-stream",
-                shorten(kind)
-            ))),
+            "text/html" | "application/json" => Err(ServerError::UnsupportedMedia(refusal(kind))),
+            _ if kind.starts_with("multipart/") || kind.ends_with("+json") => {
+                Err(ServerError::UnsupportedMedia(refusal(kind)))
+            }
+            // `curl --data-binary @song.mp3` names no type of its own and sends that of a form
+            // with `application/x-www-form-urlencoded`; a real form is refused by its bytes.
+            _ => Ok(Self::Raw),
         }
     }
+}
+
+fn refusal(kind: &str) -> String {
+    format!(
+        "content type {:?} is not accepted: send multipart/form-data with part `file`, or audio/* \
+         or application/octet-stream",
+        shorten(kind)
+    )
 }
 
 #[cfg(test)]
@@ -71,10 +76,21 @@ mod tests {
         assert_eq!(Media::of(&HeaderMap::new()).ok(), Some(Media::Raw));
         let of = |value| media(header::CONTENT_TYPE, value);
         assert_eq!(of("Audio/MPEG; codecs=mp3"), Some(Media::Raw));
-        assert_eq!(of("application/x-www-form-urlencoded"), Some(Media::Raw));
+        for kind in [
+            "application/x-www-form-urlencoded",
+            "video/webm;codecs=opus",
+            "application/x-flac",
+            "text/plain",
+            "image/png",
+            "whatever",
+        ] {
+            assert_eq!(of(kind), Some(Media::Raw), "{kind}");
+        }
         assert_eq!(of("multipart/form-data; boundary=x"), Some(Media::Form));
         assert_eq!(of("multipart/mixed; boundary=x"), None);
-        assert_eq!(of("application/json"), None);
+        assert_eq!(of("application/json; charset=utf-8"), None);
+        assert_eq!(of("application/problem+json"), None);
+        assert_eq!(of("text/html"), None);
         assert_eq!(media(header::CONTENT_ENCODING, "gzip"), None);
         assert_eq!(media(header::CONTENT_ENCODING, "identity"), Some(Media::Raw));
     }
