@@ -4,8 +4,6 @@
 pub(crate) const CIRCLES: &[&str] = &[
     "crates/bailando-model/src/manifest.rs",
     "crates/bailando-model/src/suppressed.rs",
-    "src/server/routes/stream/mod.rs",
-    "src/server/routes/stream/sender.rs",
     "train/src/data/check/mod.rs",
     "train/src/data/check/motions.rs",
     "train/src/data/check/music.rs",

@@ -115,7 +115,9 @@ impl ServerConfig {
             batch: self.limits.batch.get(),
             // Only requests with a permit use the model.
             queue: self.limits.max_concurrent_requests.get(),
+            songs: self.limits.max_concurrent_requests.get(),
             audio: self.limits.audio(),
+            effort: self.limits.effort(),
             observer,
         }
     }

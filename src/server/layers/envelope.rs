@@ -2,18 +2,20 @@
 
 use std::{
     any::Any,
+    convert::Infallible,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use axum::{
     Router,
-    body::Body,
+    body::{Body, HttpBody},
     extract::{MatchedPath, Request, State},
-    http::{HeaderName, HeaderValue, Method, Response},
+    http::{HeaderName, HeaderValue, Method, Response, header},
     middleware::{self, Next},
-    response::IntoResponse,
+    response::{IntoResponse, IntoResponseParts, ResponseParts},
 };
+use futures_util::StreamExt;
 use tower::ServiceBuilder;
 use tower_http::{
     catch_panic::CatchPanicLayer,
@@ -24,8 +26,10 @@ use tracing::Span;
 
 use crate::server::{
     error::{Report, ServerError, write_body},
-    metrics::SharedMetrics,
+    layers::client::{Client, Spare},
     options::shorten,
+    response::paced,
+    state::SharedState,
 };
 
 pub(crate) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -33,8 +37,8 @@ const TOTAL_TIME: HeaderName = HeaderName::from_static("x-total-time");
 const LONGEST_REQUEST_ID: usize = 128;
 
 /// Wraps `router`, outermost first: id, trace, error shape with time and count, panics.
-pub(crate) fn wrap(router: Router, metrics: SharedMetrics) -> Router {
-    let panics = Arc::clone(&metrics);
+pub(crate) fn wrap(router: Router, state: SharedState) -> Router {
+    let panics = Arc::clone(&state.metrics);
     // Around each route, so that its pattern is known, and around the fallback.
     router.layer(
         ServiceBuilder::new()
@@ -50,7 +54,7 @@ pub(crate) fn wrap(router: Router, metrics: SharedMetrics) -> Router {
                     .on_eos(())
                     .on_failure(()),
             )
-            .layer(middleware::from_fn_with_state(metrics, finish))
+            .layer(middleware::from_fn_with_state(state, finish))
             .layer(CatchPanicLayer::custom(move |panic: Box<dyn Any + Send>| {
                 panics.panicked("handler");
                 answer_panic(panic.as_ref())
@@ -97,18 +101,22 @@ fn log_response<B>(response: &Response<B>, latency: Duration, _span: &Span) {
     );
 }
 
-async fn finish(
-    State(metrics): State<SharedMetrics>,
-    request: Request,
-    next: Next,
-) -> Response<Body> {
+async fn finish(State(state): State<SharedState>, request: Request, next: Next) -> Response<Body> {
     let started = Instant::now();
     let id = request_id(&request).to_owned();
     let method = method_name(request.method());
     let route =
         request.extensions().get::<MatchedPath>().map_or("other", MatchedPath::as_str).to_owned();
-    let mut response = next.run(request).await;
+    let client = Client::of_address(&request);
+    let spare = request.extensions().get::<Spare>().is_some();
+    let mut response = match spare && !PROBES.contains(&request.uri().path()) {
+        true => {
+            ServerError::Spare { retry_after: state.limits.answer_idle_timeout }.into_response()
+        }
+        false => held(&state, client, next.run(request).await),
+    };
     let status = response.status().as_u16();
+    let metrics = &state.metrics;
     metrics.answered(&route, method, status, started.elapsed());
     if let Some(report) = response.extensions().get::<Report>()
         && !report.repeated
@@ -121,6 +129,53 @@ async fn finish(
     let total = time_header(started.elapsed());
     response.headers_mut().insert(TOTAL_TIME, total);
     response
+}
+
+/// What a connection beyond all places may still ask.
+const PROBES: [&str; 3] = ["/health", "/ready", "/metrics"];
+/// A response so small that its memory is that of its connection.
+const SMALL: u64 = 1024;
+
+/// How a response says what becomes of its body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Held {
+    /// It is paced already, and its memory reserved.
+    Paced,
+    /// All readers share its bytes.
+    Shared,
+}
+
+impl IntoResponseParts for Held {
+    type Error = Infallible;
+
+    fn into_response_parts(self, mut parts: ResponseParts) -> Result<ResponseParts, Infallible> {
+        parts.extensions_mut().insert(self);
+        Ok(parts)
+    }
+}
+
+/// Counts a response among those that wait for their readers, and gives its reader a pace.
+fn held(state: &SharedState, client: Client, response: Response<Body>) -> Response<Body> {
+    let held = response.extensions().get::<Held>().copied();
+    let length = response.body().size_hint().exact().unwrap_or(0);
+    if held == Some(Held::Paced) || length <= SMALL {
+        return response;
+    }
+    let room = match held {
+        Some(_) => None,
+        None => match state.resources.try_reserve_response(client, length) {
+            Ok(room) => Some(room),
+            Err(refused) => return refused.into_response(),
+        },
+    };
+    let (mut parts, body) = response.into_parts();
+    parts.headers.insert(header::CONTENT_LENGTH, HeaderValue::from(length));
+    // A body that is there already: a reader who leaves loses it with its room.
+    let data = body.into_data_stream().filter_map(move |part| {
+        let _room = &room;
+        std::future::ready(part.ok())
+    });
+    Response::from_parts(parts, paced::from_stream(data, state.pace()))
 }
 
 /// Names the methods of ours: callers can make others up.
@@ -166,6 +221,7 @@ mod tests {
     use tower::ServiceExt;
 
     use super::*;
+    use crate::server::{config::Limits, metrics::SharedMetrics, state::ServerState};
 
     #[tokio::test]
     async fn panics_of_handlers_are_counted() {
@@ -173,7 +229,8 @@ mod tests {
             panic!("a panic that the test wants")
         }
         let metrics = SharedMetrics::default();
-        let app = wrap(Router::new().route("/", get(broken)), Arc::clone(&metrics));
+        let state = ServerState::loading(Limits::default(), Arc::clone(&metrics));
+        let app = wrap(Router::new().route("/", get(broken)), state);
         let answer = app.oneshot(Request::new(Body::empty())).await.unwrap();
         assert_eq!(answer.status(), StatusCode::INTERNAL_SERVER_ERROR);
         let text = metrics.text().unwrap();

@@ -1,8 +1,10 @@
 //! The life of the server: listening, connections, draining, stopping.
 
 mod connection;
+pub(crate) mod cut;
 mod idle_stream;
 pub(crate) mod lifecycle;
+mod places;
 mod serve;
 mod signals;
 
