@@ -1,12 +1,11 @@
 //! Blocking parts of the work, off the async threads.
 
-use std::sync::Arc;
+use std::{any::Any, sync::Arc};
 
 use tracing::Span;
 
 use super::{
     error::ServerError,
-    layers::envelope::panic_text,
     metrics::SharedMetrics,
     tracker::{Phase, Work},
 };
@@ -47,4 +46,13 @@ pub(crate) async fn blocking<T: Send + 'static>(
             Err(failed) => failed.to_string(),
         }))
     })
+}
+
+/// Returns the message of a panic, as far as it has one.
+pub(crate) fn panic_text(panic: &(dyn Any + Send)) -> &str {
+    panic
+        .downcast_ref::<&str>()
+        .copied()
+        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("without a message")
 }

@@ -171,7 +171,7 @@ async fn probes_are_answered_beside_any_number_of_busy_connections() {
 /// Begins an upload of which next to nothing arrives.
 fn dribble(server: &Server) -> TcpStream {
     let mut stream = connect(server);
-    let head = song(&[b'x'; 100_000]);
+    let head = song(&vec![b'x'; 100_000]);
     stream.write_all(&head[..head.len() - 99_990]).unwrap();
     stream
 }

@@ -25,6 +25,7 @@ use tower_http::{
 use tracing::Span;
 
 use crate::server::{
+    blocking::panic_text,
     error::{Report, ServerError, write_body},
     layers::client::{Client, Spare},
     options::shorten,
@@ -192,15 +193,6 @@ fn method_name(method: &Method) -> &'static str {
 
 fn answer_panic(panic: &(dyn Any + Send)) -> Response<Body> {
     ServerError::Internal(format!("panic: {}", panic_text(panic))).into_response()
-}
-
-/// Returns the message of a panic, as far as it has one.
-pub(crate) fn panic_text(panic: &(dyn Any + Send)) -> &str {
-    panic
-        .downcast_ref::<&str>()
-        .copied()
-        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
-        .unwrap_or("without a message")
 }
 
 /// Returns milliseconds, to the microsecond, as the JSON result has them.
