@@ -146,6 +146,10 @@ errors! {
             => "no audio was sent: send a file as part `file` of multipart/form-data, or as the \
                 body itself with content type audio/*";
         BAD_REQUEST "upload_broken" UploadBroken => "the upload broke off before its end";
+        BAD_REQUEST "wrong_host" Host
+            => "the request must name one host (RFC 9112, section 3.2)";
+        MISDIRECTED_REQUEST "wrong_host" OtherHost { host: String }
+            => "{host:?} is none of the hosts that this server answers for";
         UNAUTHORIZED "missing_api_key" KeyMissing
             => "an API key is required: send it as `Authorization: Bearer KEY` or `X-API-Key: KEY`";
         UNAUTHORIZED "wrong_api_key" KeyWrong => "this API key is unknown";

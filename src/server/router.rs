@@ -38,7 +38,7 @@ pub(crate) fn router_with(state: SharedState, access: &Access) -> Router {
         .merge(docs::routes(&document))
         .fallback(not_found)
         .method_not_allowed_fallback(method_not_allowed);
-    let routes = envelope::wrap(routes, state);
+    let routes = envelope::wrap(routes, state, &access.hosts);
     match access.origins.is_empty() {
         true => routes,
         false => routes.layer(cors::layer(&access.origins)),

@@ -295,3 +295,13 @@ async fn a_stream_holds_what_its_song_needs() {
     let said = tokio::task::block_in_place(|| ended(stream));
     assert!(said.contains("event: done"), "{said}");
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_request_names_one_host() {
+    let server = Server::start(&Fake::new(), Limits::default()).await;
+    for hosts in ["", "Host: x\r\nHost: y\r\n"] {
+        let request = format!("GET /info HTTP/1.1\r\n{hosts}Connection: close\r\n\r\n");
+        let refused = server.expect(request.into_bytes(), 400).await;
+        assert!(refused.contains("wrong_host") && refused.contains("x-request-id"), "{refused}");
+    }
+}

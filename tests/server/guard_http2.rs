@@ -130,3 +130,23 @@ async fn a_connection_without_requests_ends_in_good_order() {
     server.expect(get("/health"), 200).await;
     assert!(figure(&server, "bailando_connections ").await <= 1.0);
 }
+
+/// As over HTTP/1: a head has its time, however slowly it dribbles.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_head_that_does_not_come_in_time_ends_the_connection() {
+    let limits = Limits { header_read_timeout: Seconds(SOON), ..Limits::default() };
+    let server = Server::start(&Fake::new(), limits).await;
+    let mut client = Http2::connect(&server, 65_535);
+    let started = Instant::now();
+    // Without the flag that ends it.
+    client.frame(HEADERS, 1, 1, &Http2::block("/health"));
+    tokio::task::block_in_place(|| {
+        client.0.set_read_timeout(Some(SOON / 10)).unwrap();
+        // Empty continuations, until the server closes.
+        while client.0.write_all(&[0, 0, 0, 9, 0, 0, 0, 0, 1]).is_ok() {
+            assert!(started.elapsed() < LONG / 2);
+            std::thread::sleep(SOON / 10);
+        }
+    });
+    server.expect(get("/health"), 200).await;
+}

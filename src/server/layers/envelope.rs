@@ -27,7 +27,10 @@ use tracing::Span;
 use crate::server::{
     blocking::panic_text,
     error::{Report, ServerError, write_body},
-    layers::client::{Client, Spare},
+    layers::{
+        client::{Client, Spare},
+        host,
+    },
     options::shorten,
     response::paced,
     state::SharedState,
@@ -38,7 +41,7 @@ const TOTAL_TIME: HeaderName = HeaderName::from_static("x-total-time");
 const LONGEST_REQUEST_ID: usize = 128;
 
 /// Wraps `router`, outermost first: id, trace, error shape with time and count, panics.
-pub(crate) fn wrap(router: Router, state: SharedState) -> Router {
+pub(crate) fn wrap(router: Router, state: SharedState, hosts: &[String]) -> Router {
     let panics = Arc::clone(&state.metrics);
     // Around each route, so that its pattern is known, and around the fallback.
     router.layer(
@@ -55,7 +58,7 @@ pub(crate) fn wrap(router: Router, state: SharedState) -> Router {
                     .on_eos(())
                     .on_failure(()),
             )
-            .layer(middleware::from_fn_with_state(state, finish))
+            .layer(middleware::from_fn_with_state((state, hosts.into()), finish))
             .layer(CatchPanicLayer::custom(move |panic: Box<dyn Any + Send>| {
                 panics.panicked("handler");
                 answer_panic(panic.as_ref())
@@ -102,19 +105,25 @@ fn log_response<B>(response: &Response<B>, latency: Duration, _span: &Span) {
     );
 }
 
-async fn finish(State(state): State<SharedState>, request: Request, next: Next) -> Response<Body> {
+async fn finish(
+    State((state, hosts)): State<(SharedState, Arc<[String]>)>,
+    request: Request,
+    next: Next,
+) -> Response<Body> {
     let started = Instant::now();
     let id = request_id(&request).to_owned();
     let method = method_name(request.method());
     let route =
         request.extensions().get::<MatchedPath>().map_or("other", MatchedPath::as_str).to_owned();
     let client = Client::of_address(&request);
+    let probe = PROBES.contains(&request.uri().path());
     let spare = request.extensions().get::<Spare>().is_some();
-    let mut response = match spare && !PROBES.contains(&request.uri().path()) {
-        true => {
-            ServerError::Spare { retry_after: state.limits.answer_idle_timeout }.into_response()
-        }
-        false => held(&state, client, next.run(request).await),
+    let retry_after = state.limits.answer_idle_timeout;
+    let mut response = match host::check(&request, &hosts[..]) {
+        _ if probe => held(&state, client, next.run(request).await),
+        Err(refused) => refused.into_response(),
+        Ok(()) if spare => ServerError::Spare { retry_after }.into_response(),
+        Ok(()) => held(&state, client, next.run(request).await),
     };
     let status = response.status().as_u16();
     let metrics = &state.metrics;
@@ -132,7 +141,7 @@ async fn finish(State(state): State<SharedState>, request: Request, next: Next) 
     response
 }
 
-/// What a connection beyond all places may still ask.
+/// What is answered whatever host was named, and on a connection beyond all places.
 const PROBES: [&str; 3] = ["/health", "/ready", "/metrics"];
 /// A response so small that its memory is that of its connection.
 const SMALL: u64 = 1024;
@@ -222,7 +231,7 @@ mod tests {
         }
         let metrics = SharedMetrics::default();
         let state = ServerState::loading(Limits::default(), Arc::clone(&metrics));
-        let app = wrap(Router::new().route("/", get(broken)), state);
+        let app = wrap(Router::new().route("/", get(broken)), state, &[]);
         let answer = app.oneshot(Request::new(Body::empty())).await.unwrap();
         assert_eq!(answer.status(), StatusCode::INTERNAL_SERVER_ERROR);
         let text = metrics.text().unwrap();

@@ -2,6 +2,7 @@
 
 mod connection;
 pub(crate) mod cut;
+mod heads;
 mod idle_stream;
 pub(crate) mod lifecycle;
 mod places;
