@@ -13,6 +13,7 @@ use super::{
     completion::Completion,
     conditioning::Conditioning,
     decoding::{self, DecodeTask, Prologue},
+    effort::DecodeEffort,
     frontend::AudioFrontend,
     prepare::{AcceptedRequest, AudioRequest, Preparer},
     queue::Queue,
@@ -45,8 +46,12 @@ pub struct EngineConfig {
     pub batch: usize,
     /// Generations that may wait for each stage before they begin.
     pub queue: usize,
+    /// Songs that are decoded at once: each has a thread, so that none waits for a longer one.
+    pub songs: usize,
     /// What an upload may ask of the decoder.
     pub audio: AudioLimits,
+    /// Processor time that decoding may take.
+    pub effort: DecodeEffort,
     /// Receives the figures of the scheduler.
     pub observer: Arc<dyn Observer>,
 }
@@ -60,7 +65,9 @@ impl EngineConfig {
             threads: thread::available_parallelism().map_or(1, NonZeroUsize::get),
             batch: DEFAULT_BATCH.get(),
             queue: 1,
+            songs: 2,
             audio: AudioLimits::default(),
+            effort: DecodeEffort::default(),
             observer: Arc::new(()),
         }
     }
@@ -115,12 +122,12 @@ impl Engine {
         threads::start_scheduler(scheduler, Arc::clone(&scheduled))?;
         let features = directory.manifest().features.clone();
         let preparer = Preparer {
-            frontend: AudioFrontend::new(features, config.audio.clone()),
+            frontend: AudioFrontend::new(features, config.audio.clone(), config.effort),
             directory,
             rows: config.batch,
             scheduled,
         };
-        let (preparer, audio) = threads::start_frontends(preparer, config.queue)?;
+        let (preparer, audio) = threads::start_frontends(preparer, config.songs, config.queue)?;
         let engine = Self { shared: Arc::new(Shared { preparer, audio, decoding }) };
         engine.warm_up()?;
         Ok(engine)
@@ -237,8 +244,9 @@ impl Engine {
         request: GenerationRequest,
         completion: &Arc<Completion>,
     ) -> Result<(), EngineError> {
-        let GenerationRequest { music, options, progress, stream } = request;
-        let request = AcceptedRequest { progress, stream, ..self.accept(options, completion)? };
+        let GenerationRequest { music, options, progress, stream, owner } = request;
+        let accepted = self.accept(options, completion)?;
+        let request = AcceptedRequest { progress, stream, owner, ..accepted };
         match music {
             MusicSource::Audio(audio) => {
                 let queue = &self.shared.audio.0;
@@ -262,6 +270,7 @@ impl Engine {
             options,
             progress: Arc::new(()),
             stream: None,
+            owner: 0,
             completion: Arc::clone(completion),
             submitted: Instant::now(),
         })

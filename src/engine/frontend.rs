@@ -5,10 +5,15 @@ use std::{panic, thread};
 use bytes::Bytes;
 use parking_lot::Mutex;
 
-use super::{EngineError, Progress, Stage, conditioning::Conditioning, progress::spent};
+use super::{
+    EngineError, Progress, Stage,
+    conditioning::Conditioning,
+    effort::{DecodeEffort, Effort},
+    progress::spent,
+};
 use crate::{
     CancelToken,
-    audio::{self, AudioLimits, AudioRange},
+    audio::{self, AudioError, AudioLimits, AudioRange, DecodedAudio},
     features::{FeatureError, FeatureExtractor, Profile, Rate, with_counts_of},
     formats::Timings,
     model::FeatureSpec,
@@ -18,6 +23,7 @@ use crate::{
 #[derive(Debug)]
 pub(crate) struct AudioFrontend {
     limits: AudioLimits,
+    effort: DecodeEffort,
     spec: FeatureSpec,
     conditioning: ExtractorPool,
     beats: ExtractorPool,
@@ -32,9 +38,10 @@ pub(crate) struct Selection {
 }
 
 impl AudioFrontend {
-    pub(crate) fn new(spec: FeatureSpec, limits: AudioLimits) -> Self {
+    pub(crate) fn new(spec: FeatureSpec, limits: AudioLimits, effort: DecodeEffort) -> Self {
         Self {
             limits,
+            effort,
             conditioning: ExtractorPool::new(Rate::Conditioning, spec.profile),
             // Beats for people are those of the current profile, whatever the model's is.
             beats: ExtractorPool::new(Rate::Beats, Profile::Librosa011),
@@ -61,7 +68,7 @@ impl AudioFrontend {
         let audio = spent(&mut timings.decode, "decode", || {
             let rates = [Rate::Conditioning.hz(), Rate::Beats.hz()];
             let rates = &rates[..1 + usize::from(with_beats)];
-            audio::decode(audio, selection.range, rates, &self.limits, cancel)
+            self.decode(audio, selection.range, rates, cancel)
         })?;
         progress.decoded(audio.duration_s);
         progress.stage(Stage::Features);
@@ -72,6 +79,24 @@ impl AudioFrontend {
             warnings.push("no beats were found in the audio: the dance follows none".to_owned());
         }
         Ok(Conditioning { warnings, ..conditioning })
+    }
+
+    /// Decodes a song within the processor time for it.
+    fn decode(
+        &self,
+        audio: Bytes,
+        range: AudioRange,
+        rates: &[u32],
+        cancel: &CancelToken,
+    ) -> Result<DecodedAudio, EngineError> {
+        let limit = self.effort.of(audio.len(), range, self.limits.max_seconds);
+        let (effort, cancel) = Effort::begin(limit, cancel);
+        audio::decode(audio, range, rates, &self.limits, &cancel).map_err(|error| match error {
+            AudioError::Cancelled if effort.is_used_up() => {
+                AudioError::DecodeTimeout { limit: effort.limit }.into()
+            }
+            other => other.into(),
+        })
     }
 
     /// Features, and beats where there is a second signal for them.

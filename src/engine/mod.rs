@@ -11,8 +11,8 @@ mod code_model;
 mod codes;
 mod completion;
 mod conditioning;
-
 mod decoding;
+mod effort;
 #[expect(clippy::module_inception, reason = "the engine itself is its largest part")]
 mod engine;
 mod error;
@@ -40,6 +40,7 @@ mod window;
 
 pub use crate::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE};
 pub use completion::{Generation, Pending};
+pub use effort::DecodeEffort;
 pub use engine::{DEFAULT_BATCH, Engine, EngineConfig};
 pub use error::EngineError;
 pub use observer::Observer;

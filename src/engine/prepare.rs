@@ -28,6 +28,7 @@ pub(crate) struct AcceptedRequest {
     pub(crate) prologue: Prologue,
     pub(crate) completion: Arc<Completion>,
     pub(crate) submitted: Instant,
+    pub(crate) owner: u64,
 }
 
 /// An accepted request whose song is not decoded yet.
@@ -140,6 +141,7 @@ impl Preparer {
             motion: MotionBuffer::new(request.prologue, sink, request.progress),
             completion: request.completion,
             submitted: Instant::now(),
+            owner: request.owner,
         })
     }
 

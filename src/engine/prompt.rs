@@ -63,7 +63,8 @@ impl Prompt {
         let codes = halves(&self.last_codes(codes, count));
         let place = self.place_after(ending.walked, root_motion);
         let sha256 = directory.manifest_sha256();
-        Some(Continuation::new(sha256, codes, place, ending.heading))
+        let tail = Continuation::new(sha256, codes, place, ending.heading);
+        tail.is_readable().then_some(tail)
     }
 
     fn place_after(&self, walked: [f32; 2], root_motion: bool) -> [f32; 2] {

@@ -22,6 +22,8 @@ pub struct GenerationRequest {
     pub progress: Arc<dyn Progress>,
     /// Receives the motion as it is decoded, in place of the output.
     pub stream: Option<Arc<dyn MotionStream>>,
+    /// Whose it is: owners share the model's time equally, however many requests each has.
+    pub owner: u64,
 }
 
 /// The music of a request.
@@ -47,13 +49,19 @@ impl GenerationRequest {
     }
 
     fn new(music: MusicSource, options: GenerationOptions) -> Self {
-        Self { music, options, progress: Arc::new(()), stream: None }
+        Self { music, options, progress: Arc::new(()), stream: None, owner: 0 }
     }
 
     /// Reports to `progress`.
     #[must_use]
     pub fn with_progress(self, progress: Arc<dyn Progress>) -> Self {
         Self { progress, ..self }
+    }
+
+    /// Counts it as one of `owner`'s.
+    #[must_use]
+    pub fn owned_by(self, owner: u64) -> Self {
+        Self { owner, ..self }
     }
 
     /// Sends the motion to `stream` as it is decoded.

@@ -2,7 +2,7 @@
 //! and come and go between steps.
 
 use std::{
-    collections::VecDeque,
+    collections::{HashMap, VecDeque},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -35,6 +35,8 @@ pub(crate) struct ScheduledRequest {
     pub(crate) completion: Arc<Completion>,
     /// When it was put into the queue.
     pub(crate) submitted: Instant,
+    /// Whose it is.
+    pub(crate) owner: u64,
 }
 
 impl Entry for ScheduledRequest {
@@ -50,8 +52,11 @@ pub(crate) struct Scheduler {
     directory: Arc<ModelDirectory>,
     /// Share the next step. Their rows of the cache lie one after another in this order.
     running: Vec<Request>,
-    /// Wait for rows: new requests, and preempted ones. First come, first served.
+    /// Wait for rows: new requests, and preempted ones. Who has had the least time is next.
     waiting: VecDeque<Request>,
+    /// The time that a new request is taken to have had: as much as who had the least of those
+    /// present, so that it neither waits for them nor makes them wait for ever.
+    least_spent: Duration,
     /// The decoder thread.
     decoding: Sender<DecodeTask>,
     /// The decoder thread has ended, which only a defect of ours can cause.
@@ -64,6 +69,12 @@ struct Request {
     sequence: Sequence,
     motion: Arc<Mutex<MotionBuffer>>,
     completion: Arc<Completion>,
+    owner: u64,
+    /// The model's time that it has had: its rows' part of every step, times the number of requests
+    /// that its owner has at once.
+    spent: Duration,
+    /// Of it not counted yet.
+    prefilled: Duration,
     /// Time in the queue, and then until it first found rows.
     queued: Duration,
     joined: Instant,
@@ -106,6 +117,7 @@ impl Scheduler {
             directory,
             running: Vec::new(),
             waiting: VecDeque::new(),
+            least_spent: Duration::ZERO,
             decoding,
             stopped: false,
             observer,
@@ -131,13 +143,17 @@ impl Scheduler {
 
     /// Takes a request.
     pub(crate) fn add(&mut self, request: ScheduledRequest) {
-        let ScheduledRequest { sequence, motion, completion, submitted } = request;
-        let manifest = self.directory.manifest();
-        match guarded(|| Ok(Sequence::new(sequence, manifest))) {
+        let ScheduledRequest { sequence, motion, completion, submitted, owner } = request;
+        let sequence = guarded(|| Ok(Sequence::new(sequence, self.directory.manifest())));
+        let spent = self.least_spent();
+        match sequence {
             Ok(sequence) => self.waiting.push_back(Request {
                 sequence,
                 motion: Arc::new(Mutex::new(motion)),
                 completion,
+                owner,
+                spent,
+                prefilled: Duration::ZERO,
                 queued: submitted.elapsed(),
                 joined: Instant::now(),
                 started: None,
@@ -163,17 +179,18 @@ impl Scheduler {
             let next: Vec<NextStep<'_>> = next.collect();
             Ok(self.model.step(&next)?)
         });
-        let rows = self.rows_before(self.running.len());
-        self.observer.stepped(rows, started.elapsed());
+        let (rows, time) = (self.rows_before(self.running.len()), started.elapsed());
+        self.observer.stepped(rows, time);
+        self.charge(time, rows);
         let logits = match stepped {
             Ok(logits) => logits,
             Err(error) => return self.fail_all(&error),
         };
         // A committed segment may begin one of as many rows, or none: no row moves meanwhile.
         let (decoder, directory) = (self.decoder.clone(), Arc::clone(&self.directory));
-        self.each(|_, first, sequence| {
-            sequence.choose(&logits, first)?;
-            sequence.commit(&decoder, directory.manifest())
+        self.each(|_, first, request| {
+            request.sequence.choose(&logits, first)?;
+            request.sequence.commit(&decoder, directory.manifest())
         });
         for request in &mut self.running {
             request.fresh = false;
@@ -190,14 +207,27 @@ impl Scheduler {
         }
     }
 
-    /// Admits the first that waits. Where it does not fit, running requests at a segment's start
+    /// The least time that one of those present has had, or had when there was one.
+    fn least_spent(&mut self) -> Duration {
+        let present = self.running.iter().chain(&self.waiting);
+        let least = present.map(|request| request.spent).min();
+        self.least_spent = self.least_spent.max(least.unwrap_or_default());
+        self.least_spent
+    }
+
+    /// Admits the first that waits: who has had the least time, and of those the first who came.
+    /// Where it does not fit, running requests at a segment's start
     /// are preempted if that makes room for it, so that a long song never blocks the others; else
     /// smaller ones that fit are admitted before it, for a while.
     fn admit(&mut self) {
-        while let Some(first) = self.waiting.front() {
-            let need = first.sequence.rows();
+        loop {
+            self.waiting.make_contiguous().sort_by_key(|request| request.spent);
+            let Some(first) = self.waiting.front() else {
+                break;
+            };
+            let (need, spent) = (first.sequence.rows(), first.spent);
             let patient = first.passed_over < MOST_PASSED_OVER;
-            if need > self.free_rows() && !self.preempt_for(need, patient) {
+            if need > self.free_rows() && !self.preempt_for(need, spent, patient) {
                 break;
             }
             self.start(0);
@@ -216,17 +246,20 @@ impl Scheduler {
         }
     }
 
-    /// Preempts requests until `need` rows are free, and whether they are. With `patient`, nothing
-    /// is preempted unless that is enough.
-    fn preempt_for(&mut self, need: usize, patient: bool) -> bool {
-        let may = |request: &Request| !request.fresh && request.sequence.can_be_preempted();
+    /// Preempts requests that have had more than `spent` until `need` rows are free, and whether they
+    /// are. With `patient`, nothing is preempted unless that is enough.
+    fn preempt_for(&mut self, need: usize, spent: Duration, patient: bool) -> bool {
+        let may = |request: &Request| {
+            !request.fresh && request.spent > spent && request.sequence.can_be_preempted()
+        };
         let candidates = self.running.iter().filter(|request| may(request));
         let freed: usize = candidates.map(|request| request.sequence.rows()).sum();
         if patient && self.free_rows() + freed < need {
             return false;
         }
         while self.free_rows() < need {
-            let Some(place) = self.running.iter().position(may) else {
+            let candidates = self.running.iter().enumerate().filter(|(_, request)| may(request));
+            let Some((place, _)) = candidates.max_by_key(|(_, request)| request.spent) else {
                 return false;
             };
             let request = self.take_out(place);
@@ -266,21 +299,40 @@ impl Scheduler {
     }
 
     fn prefill(&mut self) {
-        self.each(|model, first, sequence| sequence.prefill(model, first));
+        self.each(|model, first, request| {
+            let started = Instant::now();
+            request.sequence.prefill(model, first)?;
+            request.prefilled = started.elapsed();
+            Ok(())
+        });
     }
 
-    /// Does `work` for every running sequence, given its first row. One that fails, or panics,
+    /// Counts the time of a step of `rows` as that of the requests in it, each for its rows and for
+    /// what it filled the cache with before.
+    fn charge(&mut self, time: Duration, rows: usize) {
+        let mut owned: HashMap<u64, u32> = HashMap::new();
+        for request in self.running.iter().chain(&self.waiting) {
+            *owned.entry(request.owner).or_default() += 1;
+        }
+        for request in &mut self.running {
+            let own = time.mul_f64(request.sequence.rows() as f64 / rows.max(1) as f64);
+            let own = own + std::mem::take(&mut request.prefilled);
+            request.spent += own * owned.get(&request.owner).copied().unwrap_or(1);
+        }
+    }
+
+    /// Does `work` for every running request, given its first row. One that fails, or panics,
     /// leaves alone.
     fn each(
         &mut self,
-        mut work: impl FnMut(&mut dyn CodeModel, usize, &mut Sequence) -> Result<(), EngineError>,
+        mut work: impl FnMut(&mut dyn CodeModel, usize, &mut Request) -> Result<(), EngineError>,
     ) {
         let mut failed = Vec::new();
         let mut first = 0;
         for (place, request) in self.running.iter_mut().enumerate() {
             // Also after a panic, as many rows are to be taken out.
             let rows = request.sequence.rows();
-            let done = guarded(|| work(&mut *self.model, first, &mut request.sequence));
+            let done = guarded(|| work(&mut *self.model, first, request));
             if let Err(error) = done {
                 request.completion.complete(Err(error));
                 failed.push(place);

@@ -140,9 +140,16 @@ impl Sequence {
         self.committed.len() >= self.total()
     }
 
-    /// Whether it is at a segment's start, where it can leave the batch and come back at no cost.
+    /// Whether it can leave the batch and come back at no cost: at a segment's start, and where the
+    /// window moves, so that the cache is filled again in any case.
     pub(crate) fn can_be_preempted(&self) -> bool {
-        self.cold
+        self.cold || self.request.params.window.moves_at(self.step())
+    }
+
+    /// As at a segment's start.
+    #[cfg(test)]
+    pub(crate) fn chill(&mut self) {
+        self.cold = true;
     }
 
     fn begin_segment(&mut self) {

@@ -10,7 +10,7 @@ use super::{
     scheduler::{ScheduledRequest, Scheduler},
 };
 
-/// Most threads that prepare songs side by side.
+/// Most threads that prepare songs side by side for the cores' sake.
 const MOST_FRONTENDS: usize = 8;
 
 /// Closes a queue when it is dropped: its threads end once nothing is left in it.
@@ -22,21 +22,22 @@ impl<T: Entry> Drop for CloseOnDrop<T> {
     }
 }
 
-/// Starts the threads of the audio frontend, one per core but at least two, so that a long song
-/// does not keep all others waiting. They end when the returned queue is closed and empty; the last
+/// Starts the threads of the audio frontend, one per core but at least two, and one for each of
+/// `songs`, so that a long one does not keep all others waiting. They end when the returned queue is closed and empty; the last
 /// of them closes the scheduler's.
 ///
 /// # Errors
 /// [`EngineError::NoThread`].
 pub(crate) fn start_frontends(
     preparer: Preparer,
+    songs: usize,
     capacity: usize,
 ) -> Result<(Arc<Preparer>, CloseOnDrop<AudioRequest>), EngineError> {
     let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
     let queue = CloseOnDrop(Arc::new(Queue::new(capacity)));
     let scheduled = Arc::new(CloseOnDrop(Arc::clone(&preparer.scheduled)));
     let preparer = Arc::new(preparer);
-    for number in 0..cores.clamp(2, MOST_FRONTENDS) {
+    for number in 0..cores.clamp(2, MOST_FRONTENDS).max(songs) {
         let audio = Arc::clone(&queue.0);
         let (preparer, scheduled) = (Arc::clone(&preparer), Arc::clone(&scheduled));
         thread::Builder::new()

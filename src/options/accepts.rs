@@ -55,7 +55,6 @@ impl Accepts {
             Self::Integer(least, most) => {
                 of(Type::Integer).minimum(Some(least)).maximum(Some(most))
             }
-            Self::Number(f64::MAX) => of(Type::Number).minimum(Some(0)),
             Self::Number(most) => of(Type::Number).minimum(Some(0)).maximum(Some(most)),
             Self::PositiveNumber => of(Type::Number).exclusive_minimum(Some(0)),
             Self::Boolean => of(Type::Boolean),
@@ -75,7 +74,6 @@ impl fmt::Display for Accepts {
                 write!(f, "one of {}", values.join(", "))
             }
             Self::Integer(least, most) => write!(f, "a whole number from {least} to {most}"),
-            Self::Number(f64::MAX) => f.write_str("a number, 0 or more"),
             Self::Number(most) => write!(f, "a number from 0 to {most}"),
             Self::PositiveNumber => f.write_str("a number above 0"),
             Self::Boolean => f.write_str("true or false"),

@@ -152,7 +152,7 @@ options! {
         hop: usize, ANY_COUNT, MODEL, "Pose codes kept when a hop window shrinks.";
     }
     Song {
-        offset_s: f64, Accepts::Number(f64::MAX), "0",
+        offset_s: f64, Accepts::Number(1e6), "0",
             "Where in the song the motion starts, in seconds.";
         duration_s: f64, Accepts::PositiveNumber, "to its end",
             "How many seconds of the song to use.";

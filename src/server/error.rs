@@ -116,6 +116,18 @@ errors! {
         TOO_MANY_REQUESTS "too_many_jobs" TooManyJobs { most: usize, retry_after: Seconds }
             => "{most} jobs are kept already: fetch and delete finished ones, or {}",
             again(retry_after);
+        TOO_MANY_REQUESTS "upload_displaced" UploadDisplaced { retry_after: Seconds }
+            => "this upload was the slowest of too many and made room for another: {}",
+            again(retry_after);
+        TOO_MANY_REQUESTS "answer_memory" UnreadAnswers { memory: ByteSize, retry_after: Seconds }
+            => "unread responses of yours take your share of their memory, {memory}: read or close \
+                them, or {}",
+            again(retry_after);
+        SERVICE_UNAVAILABLE "too_many_connections" Spare { retry_after: Seconds }
+            => "too many connections are busy, of this client or in all: {}", again(retry_after);
+        SERVICE_UNAVAILABLE "job_timeout" JobTimeout { limit: Seconds, retry_after: Seconds }
+            => "the job was not done within {limit} s of work: send a shorter part, or {}",
+            again(retry_after);
         SERVICE_UNAVAILABLE "answer_memory" AnswerMemory { memory: ByteSize, retry_after: Seconds }
             => "unread responses take all of their memory, {memory}: {}", again(retry_after);
         SERVICE_UNAVAILABLE "draining" Draining { retry_after: Seconds }
@@ -134,6 +146,10 @@ errors! {
             => "no audio was sent: send a file as part `file` of multipart/form-data, or as the \
                 body itself with content type audio/*";
         BAD_REQUEST "upload_broken" UploadBroken => "the upload broke off before its end";
+        BAD_REQUEST "wrong_host" Host
+            => "the request must name one host (RFC 9112, section 3.2)";
+        MISDIRECTED_REQUEST "wrong_host" OtherHost { host: String }
+            => "{host:?} is none of the hosts that this server answers for";
         UNAUTHORIZED "missing_api_key" KeyMissing
             => "an API key is required: send it as `Authorization: Bearer KEY` or `X-API-Key: KEY`";
         UNAUTHORIZED "wrong_api_key" KeyWrong => "this API key is unknown";
@@ -145,9 +161,10 @@ errors! {
             => "{path} does not accept {method}: GET /docs lists all routes";
         NOT_ACCEPTABLE "not_acceptable" NotAcceptable { asked: String, available: String }
             => "the Accept header asks for {asked:?}, which is not available: expected {available}";
-        REQUEST_TIMEOUT "upload_timeout" UploadTimeout { idle: Seconds, total: Seconds }
-            => "the body was not sent in time: {idle} s without data and {total} s in all are \
-                allowed";
+        REQUEST_TIMEOUT "upload_timeout"
+            UploadTimeout { idle: Seconds, total: Seconds, rate: ByteSize }
+            => "the body was not sent in time: {rate} a second over every {idle} s are asked, and \
+                {total} s in all allowed";
         CONFLICT "job_not_done" JobNotDone { id: String, state: &'static str }
             => "job {id} is not done: it is {state}";
         PAYLOAD_TOO_LARGE "payload_too_large"

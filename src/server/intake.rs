@@ -7,15 +7,14 @@ use bytes::Bytes;
 use tracing::Instrument;
 
 use super::{
-    body::IncomingBody,
     error::ServerError,
-    media::Media,
-    negotiate::{self, Shape},
+    layers::client::Client,
     options::RequestOptions,
     resources::UploadReservation,
+    response::negotiate::{self, Shape},
     state::{Generate, SharedState},
     tracker::{Phase, RequestTracker, Waiting},
-    upload,
+    upload::{self, body::IncomingBody, media::Media},
 };
 use crate::formats::OutputFormat;
 
@@ -33,6 +32,7 @@ pub(crate) enum Purpose {
 /// A dance that was ordered: everything is here, and nothing is wrong with it that can be told now.
 pub(crate) struct Order {
     pub(crate) engine: Arc<dyn Generate>,
+    pub(crate) client: Client,
     pub(crate) audio: Bytes,
     pub(crate) options: RequestOptions,
     pub(crate) shape: Shape,
@@ -61,16 +61,20 @@ pub(crate) async fn receive(
     if options.format.is_some() || media == Media::Raw {
         shape(purpose, &options, &accept)?;
     }
+    let client = Client::of(&parts.extensions);
     match purpose {
-        Purpose::Job => state.jobs.check_room()?,
-        Purpose::Dance | Purpose::Stream => state.resources.admission.check_room()?,
+        Purpose::Job => state.jobs.check_room(client)?,
+        Purpose::Dance | Purpose::Stream => {
+            state.resources.admission.check_room(client)?;
+            state.resources.check_unread(client)?;
+        }
     }
 
     let tracker = RequestTracker::new(Arc::clone(&state.metrics));
     let waiting = Waiting::of(&tracker);
     let received = async {
-        let mut place = state.resources.uploads.begin()?;
-        let body = body.timed(limits.body_idle_timeout.0, limits.body_timeout.0);
+        let mut place = state.resources.uploads.begin(client)?;
+        let body = body.timed(limits);
         let upload = upload::receive(parts, body, media, options, limits, &mut place)
             .instrument(tracing::info_span!("stage", otel.name = "upload"))
             .await?;
@@ -91,6 +95,7 @@ pub(crate) async fn receive(
     tracker.enter(Phase::Queue);
     Ok(Order {
         engine: Arc::clone(engine),
+        client,
         audio: upload.audio,
         options: upload.options,
         shape,

@@ -10,22 +10,23 @@ use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
 use super::{
-    access::Client,
-    config::Seconds,
+    config::{Limits, Seconds},
     error::{Report, ServerError},
+    layers::client::Client,
     metrics::{Counted, SharedMetrics},
     options::RequestOptions,
+    response::answer::Answers,
     tracker::RequestTracker,
 };
 use crate::formats::{GeneratedMotion, OutputFormat};
 
 /// Where jobs are kept: in memory for now.
 pub(crate) trait JobStore: Send + Sync {
-    /// Whether one more may be kept.
+    /// Whether one more of `owner` may be kept.
     ///
     /// # Errors
     /// [`ServerError::TooManyJobs`].
-    fn check_room(&self) -> Result<(), ServerError>;
+    fn check_room(&self, owner: Client) -> Result<(), ServerError>;
 
     /// Keeps a job.
     ///
@@ -78,6 +79,7 @@ pub(crate) enum JobState {
 /// A dance and how it is written where the fetching request says nothing else.
 pub(crate) struct Finished {
     pub(crate) dance: Arc<GeneratedMotion>,
+    pub(crate) answers: Answers,
     pub(crate) options: RequestOptions,
     pub(crate) format: OutputFormat,
 }
@@ -154,15 +156,23 @@ impl Job {
 /// Keeps jobs in memory.
 pub(crate) struct MemoryStore {
     most: usize,
+    /// Of which one owner has so many at most.
+    share: usize,
     ttl: Seconds,
     // Held only to look up, to put or to take out.
     jobs: Mutex<HashMap<Uuid, Arc<Job>>>,
 }
 
 impl MemoryStore {
-    /// For at most `most` jobs; finished ones make room after `ttl`.
-    pub(crate) fn new(most: usize, ttl: Seconds) -> Self {
-        Self { most, ttl, jobs: Mutex::new(HashMap::new()) }
+    /// Within `limits`; finished jobs make room after their time.
+    pub(crate) fn new(limits: &Limits) -> Self {
+        let most = limits.max_jobs.get();
+        Self {
+            most,
+            share: limits.share_of(most as u64) as usize,
+            ttl: limits.job_ttl,
+            jobs: Mutex::new(HashMap::new()),
+        }
     }
 
     fn jobs(&self) -> MutexGuard<'_, HashMap<Uuid, Arc<Job>>> {
@@ -171,34 +181,40 @@ impl MemoryStore {
         jobs
     }
 
-    fn full(&self, jobs: &HashMap<Uuid, Arc<Job>>) -> ServerError {
+    /// The job whose place one more of `owner` takes: none while there are free ones; else the one
+    /// that was fetched, of the owner's own where those are too many.
+    fn replaced(
+        &self,
+        jobs: &HashMap<Uuid, Arc<Job>>,
+        owner: Client,
+    ) -> Result<Option<Uuid>, ServerError> {
+        let own = |job: &&Arc<Job>| job.owner == owner;
+        let within = owner == Client::Unknown || jobs.values().filter(own).count() < self.share;
+        if within && jobs.len() < self.most {
+            return Ok(None);
+        }
+        let candidates = || jobs.values().filter(|job| within || own(job));
+        // Who has its dance misses the job least.
+        let fetched = candidates().filter(|job| job.fetched.is_cancelled());
+        if let Some(oldest) = fetched.max_by_key(|job| job.done_for()) {
+            return Ok(Some(oldest.id));
+        }
         // The next place is free when the oldest result goes, if nobody deletes one.
-        let oldest = jobs.values().filter_map(|job| job.done_for()).max();
+        let oldest = candidates().filter_map(|job| job.done_for()).max();
         let wait = oldest.map_or(Duration::from_secs(10), |age| self.ttl.0.saturating_sub(age));
-        ServerError::TooManyJobs { most: self.most, retry_after: Seconds(wait) }
+        Err(ServerError::TooManyJobs { most: self.most, retry_after: Seconds(wait) })
     }
 }
 
 impl JobStore for MemoryStore {
-    fn check_room(&self) -> Result<(), ServerError> {
-        let jobs = self.jobs();
-        let room = jobs.len() < self.most || jobs.values().any(|job| job.fetched.is_cancelled());
-        match room {
-            true => Ok(()),
-            false => Err(self.full(&jobs)),
-        }
+    fn check_room(&self, owner: Client) -> Result<(), ServerError> {
+        self.replaced(&self.jobs(), owner).map(drop)
     }
 
     fn put(&self, job: Arc<Job>) -> Result<(), ServerError> {
         let mut jobs = self.jobs();
-        if jobs.len() >= self.most {
-            // Who has its dance misses the job least.
-            let fetched = jobs.values().filter(|job| job.fetched.is_cancelled());
-            let oldest = fetched.max_by_key(|job| job.done_for()).map(|job| job.id);
-            let Some(oldest) = oldest else {
-                return Err(self.full(&jobs));
-            };
-            forget(jobs.remove(&oldest));
+        if let Some(replaced) = self.replaced(&jobs, job.owner)? {
+            forget(jobs.remove(&replaced));
         }
         jobs.insert(job.id, job);
         Ok(())
@@ -226,9 +242,38 @@ mod tests {
     use super::*;
 
     fn job() -> Arc<Job> {
+        job_of(Client::Unknown)
+    }
+
+    fn job_of(owner: Client) -> Arc<Job> {
         let metrics = SharedMetrics::default();
         let tracker = RequestTracker::new(Arc::clone(&metrics));
-        Job::new(Client::Unknown, "id".into(), tracker, metrics)
+        Job::new(owner, "id".into(), tracker, metrics)
+    }
+
+    fn store(most: usize, ttl: Duration) -> MemoryStore {
+        let max_jobs = most.try_into().unwrap();
+        let limits = Limits { max_jobs, job_ttl: Seconds(ttl), ..Limits::default() };
+        MemoryStore::new(&limits)
+    }
+
+    #[test]
+    fn one_owner_leaves_places_to_others() {
+        let (one, other) = (Client::Key(0), Client::Key(1));
+        let store = store(4, Duration::from_secs(60));
+        let first = job_of(one);
+        store.put(Arc::clone(&first)).unwrap();
+        for _ in 0..2 {
+            store.put(job_of(one)).unwrap();
+        }
+        assert!(store.check_room(one).is_err() && store.put(job_of(one)).is_err());
+        store.put(job_of(other)).unwrap();
+        // Who makes room for its own makes room for nobody's.
+        first.turn(failed());
+        first.fetched.cancel();
+        store.put(job_of(one)).unwrap();
+        assert!(store.get(first.id).is_none());
+        assert!(store.put(job_of(other)).is_err());
     }
 
     fn failed() -> JobState {
@@ -237,14 +282,14 @@ mod tests {
 
     #[test]
     fn finished_jobs_make_room_after_their_time() {
-        let store = MemoryStore::new(1, Seconds(Duration::from_millis(30)));
+        let store = store(1, Duration::from_millis(30));
         let first = job();
         store.put(Arc::clone(&first)).unwrap();
         std::thread::sleep(Duration::from_millis(40));
         assert!(store.get(first.id).is_some(), "it is not finished");
         assert!(matches!(store.put(job()), Err(ServerError::TooManyJobs { most: 1, .. })));
         first.turn(failed());
-        assert!(store.check_room().is_err());
+        assert!(store.check_room(Client::Unknown).is_err());
         std::thread::sleep(Duration::from_millis(40));
         assert!(store.get(first.id).is_none());
         store.put(job()).unwrap();
@@ -252,13 +297,13 @@ mod tests {
 
     #[test]
     fn who_has_its_dance_makes_room() {
-        let store = MemoryStore::new(1, Seconds::new(60));
+        let store = store(1, Duration::from_secs(60));
         let first = job();
         store.put(Arc::clone(&first)).unwrap();
         first.turn(failed());
         assert!(store.put(job()).is_err());
         first.fetched.cancel();
-        store.check_room().unwrap();
+        store.check_room(Client::Unknown).unwrap();
         store.put(job()).unwrap();
         assert!(store.get(first.id).is_none());
         assert!(first.deleted.is_cancelled());
@@ -266,7 +311,7 @@ mod tests {
 
     #[test]
     fn a_deleted_job_stops() {
-        let store = MemoryStore::new(2, Seconds::new(60));
+        let store = store(2, Duration::from_secs(60));
         let job = job();
         store.put(Arc::clone(&job)).unwrap();
         assert!(store.remove(job.id));

@@ -5,6 +5,7 @@
 //! `resources` (a worker, a place in the queue, or 429) → `work` (waits for the engine) →
 //! `response`.
 
+mod blocking;
 mod config;
 mod error;
 mod info;
@@ -24,14 +25,6 @@ mod telemetry;
 mod tracker;
 mod upload;
 mod work;
-
-// Short paths for the handlers.
-use self::{
-    layers::{client as access, envelope},
-    response::{negotiate, warnings},
-    serving::lifecycle,
-    upload::{body, media},
-};
 
 pub use config::{
     Access, ApiKey, ByteSize, KeysError, Limits, LimitsError, Origin, Seconds, ServerConfig,

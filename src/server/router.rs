@@ -2,15 +2,6 @@
 
 use std::sync::Arc;
 
-use axum::{
-    Router,
-    extract::Request,
-    http::{Method, StatusCode, Uri},
-    middleware,
-    response::{IntoResponse, Response},
-};
-use utoipa_swagger_ui::SwaggerUi;
-
 use super::{
     config::{Access, Limits},
     error::ServerError,
@@ -18,7 +9,15 @@ use super::{
     metrics::SharedMetrics,
     openapi,
     options::shorten,
+    routes::docs,
     state::{Generate, ServerState, SharedState},
+};
+use axum::{
+    Router,
+    extract::Request,
+    http::{Method, StatusCode, Uri},
+    middleware,
+    response::{IntoResponse, Response},
 };
 
 /// The whole service over `engine`, without a listener: what tests drive.
@@ -34,14 +33,12 @@ pub(crate) fn router_with(state: SharedState, access: &Access) -> Router {
     let auth = middleware::from_fn_with_state(gate, auth::admit);
     let (routes, document) =
         openapi::public_routes().merge(openapi::keyed_routes().route_layer(auth)).split_for_parts();
-    let docs = SwaggerUi::new("/docs").url("/api-doc/openapi.json", document);
-    let metrics = Arc::clone(&state.metrics);
     let routes = routes
-        .with_state(state)
-        .merge(docs)
+        .with_state(Arc::clone(&state))
+        .merge(docs::routes(&document))
         .fallback(not_found)
         .method_not_allowed_fallback(method_not_allowed);
-    let routes = envelope::wrap(routes, metrics);
+    let routes = envelope::wrap(routes, state, &access.hosts);
     match access.origins.is_empty() {
         true => routes,
         false => routes.layer(cors::layer(&access.origins)),

@@ -10,9 +10,10 @@ use super::{
     error::ServerError,
     info::Info,
     jobs::{JobStore, MemoryStore},
-    lifecycle::Lifecycle,
     metrics::SharedMetrics,
     resources::Resources,
+    response::paced::Pace,
+    serving::lifecycle::Lifecycle,
 };
 use crate::{
     engine::{Engine, EngineError, Generation, GenerationOptions, GenerationRequest, Pending},
@@ -85,7 +86,7 @@ pub(crate) struct ServerState {
     loaded: OnceLock<Loaded>,
     pub(crate) limits: Limits,
     pub(crate) metrics: SharedMetrics,
-    pub(crate) resources: Resources,
+    pub(crate) resources: Arc<Resources>,
     pub(crate) jobs: Box<dyn JobStore>,
     pub(crate) lifecycle: Lifecycle,
 }
@@ -101,8 +102,8 @@ impl ServerState {
     pub(crate) fn loading(limits: Limits, metrics: SharedMetrics) -> SharedState {
         Arc::new(Self {
             loaded: OnceLock::new(),
-            resources: Resources::new(&limits, &metrics),
-            jobs: Box::new(MemoryStore::new(limits.max_jobs.get(), limits.job_ttl)),
+            resources: Arc::new(Resources::new(&limits, &metrics)),
+            jobs: Box::new(MemoryStore::new(&limits)),
             lifecycle: Lifecycle::default(),
             metrics,
             limits,
@@ -144,6 +145,11 @@ impl ServerState {
             }
             () = self.lifecycle.aborted() => Err(self.draining()),
         }
+    }
+
+    /// How fast a response must be taken.
+    pub(crate) fn pace(&self) -> Pace {
+        Pace::new(&self.limits, self.lifecycle.stopping())
     }
 
     /// The answer to a request whose time is over.

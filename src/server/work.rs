@@ -1,24 +1,20 @@
-//! The work on a request: the engine's, and blocking parts off the async threads.
+//! The engine's work on a request.
 
 use std::{sync::Arc, time::Duration};
 
-use tracing::Span;
-
 use super::{
     config::Limits,
-    envelope::panic_text,
     error::ServerError,
     intake::Order,
     metrics::SharedMetrics,
-    options::RequestOptions,
     resources::Permit,
     state::SharedState,
-    tracker::{Held, Phase, RequestTracker, Work},
+    tracker::{Held, RequestTracker, Work},
 };
 use crate::{
     audio::AudioError,
     engine::{EngineError, Generation, GenerationOutput, GenerationRequest},
-    formats::{GeneratedMotion, OutputFormat},
+    formats::GeneratedMotion,
 };
 
 impl Order {
@@ -34,7 +30,7 @@ impl Order {
         let work = Work::begin(&self.tracker, held);
         let audio = std::mem::take(&mut self.audio);
         let options = self.options.generation(self.shape.format);
-        let request = GenerationRequest::audio(audio, options);
+        let request = GenerationRequest::audio(audio, options).owned_by(self.client.number());
         Ok((request.with_progress(Arc::clone(&work) as _), work))
     }
 
@@ -93,45 +89,4 @@ pub(crate) async fn finished(
             Err(error.into())
         }
     }
-}
-
-/// Writes a dance as asked for. `work` is held until that has ended.
-pub(crate) async fn write(
-    metrics: &SharedMetrics,
-    work: Option<&Arc<Work>>,
-    dance: Arc<GeneratedMotion>,
-    options: RequestOptions,
-    format: OutputFormat,
-) -> Result<Vec<u8>, ServerError> {
-    let measured = Arc::clone(metrics);
-    let work = work.cloned();
-    let write = move || {
-        if let Some(work) = &work {
-            work.tracker().enter(Phase::Write);
-        }
-        let started = std::time::Instant::now();
-        let span = tracing::info_span!("stage", otel.name = "write");
-        let body = span.in_scope(|| options.write(&dance, format))?;
-        measured.stage("write", started.elapsed());
-        Ok(body)
-    };
-    blocking(metrics, Phase::Write.name(), write).await
-}
-
-/// Runs on a blocking thread, in this request's span. A panic is counted as one of `place`, and
-/// costs this request alone.
-pub(crate) async fn blocking<T: Send + 'static>(
-    metrics: &SharedMetrics,
-    place: &'static str,
-    work: impl FnOnce() -> Result<T, ServerError> + Send + 'static,
-) -> Result<T, ServerError> {
-    let span = Span::current();
-    let ended = tokio::task::spawn_blocking(move || span.in_scope(work)).await;
-    ended.unwrap_or_else(|failed| {
-        metrics.panicked(place);
-        Err(ServerError::Internal(match failed.try_into_panic() {
-            Ok(panic) => format!("panic: {}", panic_text(panic.as_ref())),
-            Err(failed) => failed.to_string(),
-        }))
-    })
 }

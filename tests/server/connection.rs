@@ -12,7 +12,7 @@ use bailando::server::{Limits, Seconds};
 use crate::server::{
     client::LONG,
     fake::Fake,
-    lifecycle::{Server, get, post},
+    lifecycle::{Server, post},
 };
 
 const SOON: Duration = Duration::from_millis(300);
@@ -48,17 +48,6 @@ async fn heads_that_do_not_come_in_time_are_dropped() {
         }
     });
     server.expect(post(b"song"), 200).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn connections_beyond_the_most_wait_for_a_place() {
-    let limits = Limits { max_connections: NonZeroUsize::MIN, ..impatient() };
-    let server = Server::start(&Fake::new(), limits).await;
-    let silent = TcpStream::connect(server.address).unwrap();
-    let started = Instant::now();
-    server.expect(get("/health"), 200).await;
-    assert!(started.elapsed() >= SOON / 2, "{:?}", started.elapsed());
-    drop(silent);
 }
 
 /// The preface of HTTP/2 with prior knowledge is answered with settings, which say how much is

@@ -39,7 +39,10 @@ pub(crate) const PANIC: &[u8] = b"panic";
 /// Audio that makes the fake panic after the first frames of a stream.
 pub(crate) const LATE_PANIC: &[u8] = b"late panic";
 
-/// Generates 0.1 s of motion to anything.
+/// Audio that makes the fake generate many frames.
+pub(crate) const LONG_DANCE: &[u8] = b"long dance";
+
+/// Generates 0.1 s of motion to anything else.
 pub(crate) struct Fake {
     /// Itself, for its threads.
     this: Weak<Self>,
@@ -112,7 +115,8 @@ impl Fake {
         self.generations.fetch_add(1, Ordering::SeqCst);
         let progress = &request.progress;
         progress.stage(Stage::Decoding);
-        let mut output = output(&request.options);
+        let frames = if audio.starts_with(LONG_DANCE) { MANY_FRAMES } else { FRAMES };
+        let mut output = output(&request.options, frames);
         match &request.stream {
             None => self.started.add_permits(1),
             Some(_) if audio.starts_with(PANIC) => panic_any("a panic that the test wants"),
@@ -120,7 +124,7 @@ impl Fake {
                 progress.decoded(0.1);
                 stream.opened(opening(&request.options)?);
                 progress.stage(Stage::Generating);
-                stream.frames(frames());
+                stream.frames(decoded());
                 output.motion = MotionOutput::Streamed;
                 self.started.add_permits(1);
             }
@@ -195,7 +199,7 @@ impl Generate for Fake {
             start_lower: Some(codes[1]),
             ..GenerationOptions::default()
         });
-        let _ = sender.send(checked.map(|()| positions()));
+        let _ = sender.send(checked.map(|()| positions(FRAMES)));
         Pending::from(receiver)
     }
 }
@@ -248,17 +252,19 @@ fn manifest() -> Manifest {
 }
 
 const FRAMES: usize = 2;
+/// JSON of about four megabytes: more than the buffers of a connection hold.
+const MANY_FRAMES: usize = 60_000;
 
-fn positions() -> Positions {
+fn positions(frames: usize) -> Positions {
     let joints = skeleton().joints.len();
-    Array3::from_shape_fn((FRAMES, joints, 3), |(frame, joint, axis)| match axis {
+    Array3::from_shape_fn((frames, joints, 3), |(frame, joint, axis)| match axis {
         1 => 1.0 + 0.25 * joint as f32,
         _ => 0.125 * frame as f32,
     })
 }
 
 /// One code's frames of decoded motion.
-fn frames() -> Array2<f32> {
+fn decoded() -> Array2<f32> {
     let columns = 3 * skeleton().joints.len();
     Array2::from_shape_fn((8, columns), |(_, column)| match column % 3 {
         1 => 0.1 * column as f32,
@@ -267,7 +273,7 @@ fn frames() -> Array2<f32> {
 }
 
 fn opening(options: &GenerationOptions) -> Result<Opening, EngineError> {
-    let output = output(options);
+    let output = output(options, FRAMES);
     let finish = FinishOptions { fps: options.fps, ..FinishOptions::default() };
     Ok(Opening {
         model: "fake".into(),
@@ -283,7 +289,7 @@ fn opening(options: &GenerationOptions) -> Result<Opening, EngineError> {
     })
 }
 
-fn output(options: &GenerationOptions) -> GenerationOutput {
+fn output(options: &GenerationOptions, frames: usize) -> GenerationOutput {
     let joints = skeleton().joints.len();
     let seed = options.seed.unwrap_or(7);
     let codes = Codes { upper: vec![u32::try_from(seed % 512).unwrap()], lower: vec![3] };
@@ -293,10 +299,10 @@ fn output(options: &GenerationOptions) -> GenerationOutput {
         motion: MotionOutput::Finished(Finished {
             animation: Animation {
                 fps: options.fps,
-                root: vec![Vec3::Y; FRAMES],
-                rotations: vec![vec![Quat::IDENTITY; joints]; FRAMES],
+                root: vec![Vec3::Y; frames],
+                rotations: vec![vec![Quat::IDENTITY; joints]; frames],
             },
-            positions: positions(),
+            positions: positions(frames),
             source: PositionsSource::Decoder,
         }),
         tail: Some(Continuation::new("0123", before, [0.0; 2], 0.0)),

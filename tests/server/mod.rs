@@ -5,6 +5,8 @@ mod client;
 mod connection;
 mod fake;
 mod generate;
+mod guard;
+mod guard_http2;
 mod jobs;
 mod lifecycle;
 mod limits;

@@ -178,7 +178,8 @@ async fn a_slow_reader_keeps_nobody_from_working() {
         assert_eq!(send(&app, stream("", b"song")).await.status, StatusCode::OK);
     }
     let rest = body.collect().await.unwrap().to_bytes();
-    assert!(rest.starts_with(b"event: frames\n"));
     let rest = String::from_utf8(rest.to_vec()).unwrap();
+    // The last byte of an event is a piece of its own.
+    assert!(rest.trim_start().starts_with("event: frames\n"));
     assert!(rest.contains("event: done\n"));
 }

@@ -68,6 +68,13 @@ impl FromStr for BvhUnit {
     }
 }
 
+/// About the bytes of a motion as BVH.
+pub(crate) fn bvh_bytes(motion: &GeneratedMotion) -> usize {
+    let joints = motion.skeleton.joints.len();
+    // Three angles of a rotation take about nine bytes each.
+    200 * joints + 30 * (joints + 1) * motion.animation.root.len()
+}
+
 /// Writes a motion as BVH.
 ///
 /// # Errors
@@ -75,10 +82,8 @@ impl FromStr for BvhUnit {
 pub fn to_bvh(motion: &GeneratedMotion, unit: BvhUnit) -> Result<String, FormatError> {
     motion.check()?;
     let joints = motion.skeleton.joints.len();
-    let frames = motion.animation.root.len();
-    // A rotation takes about nine bytes.
     let mut writer = BvhWriter {
-        text: String::with_capacity(200 * joints + 30 * (joints + 1) * frames),
+        text: String::with_capacity(bvh_bytes(motion)),
         skeleton: &motion.skeleton,
         order: Vec::with_capacity(joints),
         unit,

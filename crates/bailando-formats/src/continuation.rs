@@ -44,6 +44,12 @@ impl Continuation {
         self.model == identity(model_sha256)
     }
 
+    /// Whether its text can be read again: a motion that went too far has no continuation.
+    #[must_use]
+    pub fn is_readable(&self) -> bool {
+        Self::read(&self.to_text()).is_some()
+    }
+
     /// Writes a text that is safe in a URL.
     #[must_use]
     pub fn to_text(&self) -> String {
@@ -122,7 +128,9 @@ mod tests {
         let text = continuation.to_text();
         assert!(text.len() <= 256, "{}", text.len());
         assert_eq!(text.parse::<Continuation>().unwrap(), continuation);
-        assert!(continuation.is_of(MODEL));
+        assert!(continuation.is_of(MODEL) && continuation.is_readable());
+        let position = [FURTHEST + 1.0, 0.0];
+        assert!(!Continuation { position, ..continuation.clone() }.is_readable());
         assert!(!continuation.is_of("fedcba98"));
     }
 

@@ -82,15 +82,23 @@ pub struct SkeletonJson<'a> {
     handedness: &'static str,
 }
 
+/// About the bytes of a motion as JSON.
+pub(crate) fn json_bytes(motion: &GeneratedMotion, options: &JsonOptions) -> usize {
+    let frames = motion.animation.root.len();
+    // Positions; with rotations four more for each three of them, and three for the root.
+    let poses = motion.positions.len();
+    let numbers = poses + if options.rotations { poses * 4 / 3 + 3 * frames } else { 0 };
+    // Codes, beats and names; a rounded number and its comma take about ten bytes.
+    4096 + 2 * frames + 10 * numbers
+}
+
 /// Writes a motion as JSON.
 ///
 /// # Errors
 /// [`FormatError::Inconsistent`] if its parts do not fit each other or hold a NaN or an infinity.
 pub fn to_json(motion: &GeneratedMotion, options: &JsonOptions) -> Result<Vec<u8>, FormatError> {
     motion.check()?;
-    let numbers = motion.positions.len() * if options.rotations { 3 } else { 1 };
-    // A rounded number and its comma take about ten bytes.
-    let mut json = Vec::with_capacity(4096 + 10 * numbers);
+    let mut json = Vec::with_capacity(json_bytes(motion, options));
     serde_json::to_writer(&mut json, &MotionJson::new(motion, options))?;
     Ok(json)
 }

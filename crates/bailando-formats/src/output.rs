@@ -5,9 +5,9 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    bvh::{BvhUnit, to_bvh},
+    bvh::{BvhUnit, bvh_bytes, to_bvh},
     error::FormatError,
-    json::{JsonOptions, to_json},
+    json::{JsonOptions, json_bytes, to_json},
     motion::GeneratedMotion,
 };
 
@@ -45,6 +45,17 @@ impl OutputFormat {
             Self::Json => "application/json",
             Self::Bvh => "application/x-bvh",
         }
+    }
+
+    /// Returns about the most bytes that a motion takes in this format: what [`Self::write`]
+    /// reserves, and a little more.
+    #[must_use]
+    pub fn most_bytes(self, motion: &GeneratedMotion, json: &JsonOptions) -> usize {
+        let most = match self {
+            Self::Json => json_bytes(motion, json),
+            Self::Bvh => bvh_bytes(motion),
+        };
+        most.saturating_add(most / 16)
     }
 
     /// Writes a motion in this format.

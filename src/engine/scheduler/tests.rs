@@ -10,6 +10,7 @@ use crate::{
         Generation, GenerationOptions, GenerationOutput, Progress,
         conditioning::Conditioning,
         decoding::{self, Prologue},
+        effort::DecodeEffort,
         fake::{FakeDecoder, FakeModel, Script, directory},
         frontend::AudioFrontend,
         prepare::{AcceptedRequest, Preparer},
@@ -87,7 +88,11 @@ impl Harness {
             observer,
             preparer: Preparer {
                 directory,
-                frontend: AudioFrontend::new(features, AudioLimits::default()),
+                frontend: AudioFrontend::new(
+                    features,
+                    AudioLimits::default(),
+                    DecodeEffort::default(),
+                ),
                 rows,
                 scheduled: Arc::new(Queue::new(1)),
             },
@@ -119,6 +124,7 @@ impl Harness {
             stream: None,
             completion,
             submitted: Instant::now(),
+            owner: 0,
         };
         let scheduled = self.preparer.schedule_conditioned(conditioning, request);
         scheduled.unwrap();
@@ -235,6 +241,41 @@ fn a_long_sequence_does_not_block_a_short_one() {
     assert!(!harness.scheduler.is_idle());
     harness.finish();
     assert_eq!(long.wait().unwrap().codes, Harness::alone(asked(1, 400)).codes);
+}
+
+/// Who has had less of the model's time goes first, rows counted, and two requests of one owner
+/// share what one of another has.
+#[test]
+fn owners_share_the_time_of_the_model() {
+    let mut harness = Harness::new(4);
+    let _wide = harness.add(wide(1, 4000, 4));
+    harness.scheduler.step();
+    let _other = harness.add(wide(2, 4000, 4));
+    harness.scheduler.waiting[0].owner = 1;
+    let _third = harness.add(wide(3, 4000, 4));
+    harness.scheduler.waiting[1].owner = 1;
+    for request in &harness.scheduler.waiting {
+        assert_eq!(request.spent, harness.scheduler.running[0].spent, "the least of those present");
+    }
+    let before = harness.scheduler.least_spent();
+    let mut had = [Duration::ZERO; 2];
+    for _ in 0..3_000 {
+        let running = |harness: &Harness| {
+            let request = harness.scheduler.running.first();
+            request.map(|request| (request.owner, request.spent))
+        };
+        harness.scheduler.admit();
+        let (owner, spent) = running(&harness).unwrap();
+        harness.scheduler.charge(Duration::from_millis(1), 4);
+        let (_, after) = running(&harness).unwrap();
+        // What was counted, over the number of the owner's requests.
+        had[owner as usize] += (after - spent) / [1, 2][owner as usize];
+        harness.scheduler.running[0].fresh = false;
+        harness.scheduler.running[0].sequence.chill();
+    }
+    assert!(harness.scheduler.least_spent() > before);
+    let share = had[1].as_secs_f64() / (had[0] + had[1]).as_secs_f64();
+    assert!((0.45..0.55).contains(&share), "{share}");
 }
 
 /// Nothing is preempted for a request that would not fit all the same, and smaller ones that fit do

@@ -9,7 +9,10 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::units::{ByteSize, Seconds};
-use crate::{audio::AudioLimits, engine::DEFAULT_BATCH};
+use crate::{
+    audio::AudioLimits,
+    engine::{DEFAULT_BATCH, DecodeEffort},
+};
 
 /// Memory for one second of audio, all stages together; measured (`tests/load/uploads.py`).
 const BYTES_PER_SECOND: f64 = 700_000.0;
@@ -55,6 +58,10 @@ macro_rules! limits {
 }
 
 limits! {
+    /// Share of every bounded resource that one client may hold: workers, places in the queue, jobs,
+    /// uploads, memory for uploads and answers, connections; clients are distinguished as for
+    /// --rate-limit. 1 for a single client or for all behind one proxy
+    client_share: f64 ["client_share" f64] "BAILANDO_CLIENT_SHARE" = 0.75, fraction;
     /// Requests that are processed at the same time
     max_concurrent_requests: NonZeroUsize ["max_concurrent_requests" u64]
         "BAILANDO_MAX_CONCURRENT_REQUESTS" = count(4);
@@ -69,7 +76,8 @@ limits! {
     /// are answered 429
     upload_memory: ByteSize ["upload_memory_bytes" u64]
         "BAILANDO_UPLOAD_MEMORY" = ByteSize(400_000_000);
-    /// Bytes of responses that are held for their readers at the same time; further responses wait
+    /// Bytes of responses that are held for their readers at the same time; further responses wait,
+    /// or are answered 429 where their client leaves its share unread
     answer_memory: ByteSize ["answer_memory_bytes" u64]
         "BAILANDO_ANSWER_MEMORY" = ByteSize(400_000_000);
     /// Seconds of audio that are processed at the same time; further songs wait
@@ -78,6 +86,8 @@ limits! {
     /// Jobs that are kept at the same time, finished ones included; one more replaces a job whose
     /// result was fetched, or else is answered 429
     max_jobs: NonZeroUsize ["max_jobs" u64] "BAILANDO_MAX_JOBS" = count(16);
+    /// Longest time in seconds that a job may be worked on
+    job_timeout: Seconds ["job_timeout_s" f64] "BAILANDO_JOB_TIMEOUT" = Seconds::new(600);
     /// Time in seconds that a finished job is kept
     job_ttl: Seconds ["job_ttl_s" f64] "BAILANDO_JOB_TTL" = Seconds::new(600);
     /// Requests a minute, on average, that each client may make of the routes that need a key;
@@ -87,18 +97,27 @@ limits! {
     /// Requests that a client may make at once, where there is a rate limit
     rate_burst: NonZeroU32 ["rate_burst" u32]
         "BAILANDO_RATE_BURST" = NonZeroU32::MIN.saturating_add(9);
-    /// Connections at the same time; further ones wait
+    /// Connections at the same time; one more takes the place of the one that has been without a
+    /// request for longest
     max_connections: NonZeroUsize ["max_connections" u64]
         "BAILANDO_MAX_CONNECTIONS" = count(1024);
     /// Requests at the same time on one HTTP/2 connection
     max_http2_streams: NonZeroU32 ["max_http2_streams" u32]
         "BAILANDO_MAX_HTTP2_STREAMS" = NonZeroU32::MIN.saturating_add(31);
-    /// Longest time in seconds to send the head of a request, and for a connection to be idle
+    /// Longest time in seconds that an HTTP/2 connection may be without a request
+    connection_idle_timeout: Seconds ["connection_idle_timeout_s" f64]
+        "BAILANDO_CONNECTION_IDLE_TIMEOUT" = Seconds::new(60);
+    /// Longest time in seconds to send the head of a request, and for an HTTP/1 connection to be
+    /// idle
     header_read_timeout: Seconds ["header_read_timeout_s" f64]
         "BAILANDO_HEADER_READ_TIMEOUT" = Seconds::new(10);
-    /// Longest time in seconds that a client may read nothing of its response
+    /// Time in seconds in which a client must take its share of a response, as
+    /// --answer-least-rate says; who takes less is given up
     answer_idle_timeout: Seconds ["answer_idle_timeout_s" f64]
         "BAILANDO_ANSWER_IDLE_TIMEOUT" = Seconds::new(30);
+    /// Bytes a second that a client must take of a response, on average over --answer-idle-timeout
+    answer_least_rate: ByteSize ["answer_least_rate_bytes" u64]
+        "BAILANDO_ANSWER_LEAST_RATE" = ByteSize(8_000);
     /// Largest audio file; bytes, or with kB, MB, KiB, MiB
     payload_limit: ByteSize ["payload_limit_bytes" u64]
         "BAILANDO_PAYLOAD_LIMIT" = ByteSize(25_000_000);
@@ -123,9 +142,19 @@ limits! {
     /// Longest time in seconds to decode one upload
     decode_timeout: Seconds ["decode_timeout_s" f64]
         "BAILANDO_DECODE_TIMEOUT" = Seconds(AudioLimits::default().max_decode_time);
+    /// Processor time in seconds that decoding may take for each megabyte of an upload, beside one
+    /// second for any
+    decode_cpu_per_megabyte: Seconds ["decode_cpu_per_megabyte_s" f64]
+        "BAILANDO_DECODE_CPU_PER_MEGABYTE" = Seconds(DecodeEffort::default().per_megabyte);
+    /// Processor time in seconds that decoding may take for each second of audio that is asked for
+    decode_cpu_per_second: Seconds ["decode_cpu_per_second_s" f64]
+        "BAILANDO_DECODE_CPU_PER_SECOND" = Seconds(DecodeEffort::default().per_second);
     /// Longest silence in seconds while a body is sent
     body_idle_timeout: Seconds ["body_idle_timeout_s" f64]
         "BAILANDO_BODY_IDLE_TIMEOUT" = Seconds::new(10);
+    /// Bytes a second that a body must bring, on average over --body-idle-timeout
+    body_least_rate: ByteSize ["body_least_rate_bytes" u64]
+        "BAILANDO_BODY_LEAST_RATE" = ByteSize(1_000);
     /// Longest time in seconds to send a whole body
     body_timeout: Seconds ["body_timeout_s" f64] "BAILANDO_BODY_TIMEOUT" = Seconds::new(60);
     /// Longest time in seconds from the head of a request to its response, waiting included
@@ -204,6 +233,11 @@ impl Limits {
         Ok(())
     }
 
+    /// Returns how much of `all` one client may hold: one at least.
+    pub(crate) fn share_of(&self, all: u64) -> u64 {
+        ((all as f64 * self.client_share) as u64).clamp(1, all.max(1))
+    }
+
     /// Returns the largest size of a file of any format.
     pub(crate) fn largest_file(&self) -> ByteSize {
         self.payload_limit.max(self.payload_limit_lossless)
@@ -222,6 +256,16 @@ impl Limits {
         upload.saturating_add((self.max_audio_seconds * BYTES_PER_SECOND) as u64)
     }
 
+    /// Returns the processor time that decoding may take.
+    #[must_use]
+    pub fn effort(&self) -> DecodeEffort {
+        DecodeEffort {
+            per_megabyte: self.decode_cpu_per_megabyte.0,
+            per_second: self.decode_cpu_per_second.0,
+            ..DecodeEffort::default()
+        }
+    }
+
     /// Returns the limits that the decoder enforces.
     #[must_use]
     pub fn audio(&self) -> AudioLimits {
@@ -238,6 +282,11 @@ impl Limits {
 
 fn above_zero(text: &str) -> Result<f64, String> {
     number(text, |value| value > 0.0).ok_or_else(|| "give a number above 0".to_owned())
+}
+
+fn fraction(text: &str) -> Result<f64, String> {
+    let fits = |value| value > 0.0 && value <= 1.0;
+    number(text, fits).ok_or_else(|| "give a number above 0, up to 1".to_owned())
 }
 
 fn zero_or_more(text: &str) -> Result<f64, String> {

@@ -26,6 +26,8 @@ pub struct Access {
     pub keys: Vec<ApiKey>,
     /// Origins whose pages may call (CORS); `*` for all.
     pub origins: Vec<Origin>,
+    /// Host names that requests may name; without any, every one.
+    pub hosts: Vec<String>,
 }
 
 /// Settings of `serve`.
@@ -61,6 +63,10 @@ pub struct ServerConfig {
     /// several with commas; * for all [default: none]
     #[arg(long, env = "BAILANDO_CORS_ALLOW_ORIGIN", value_delimiter = ',')]
     pub cors_allow_origin: Vec<Origin>,
+    /// Host names that requests may name, without ports; several with commas: a page on another name
+    /// that resolves to this server is refused then. Probes may name any [default: all]
+    #[arg(long, env = "BAILANDO_ALLOWED_HOST", value_delimiter = ',')]
+    pub allowed_host: Vec<String>,
     /// Collector that traces are sent to: OTLP over HTTP, such as http://localhost:4318 [default:
     /// none]
     #[arg(long, env = "BAILANDO_OTLP_ENDPOINT")]
@@ -81,6 +87,7 @@ impl Default for ServerConfig {
             api_key: Vec::new(),
             api_key_file: None,
             cors_allow_origin: Vec::new(),
+            allowed_host: Vec::new(),
             otlp_endpoint: None,
             json_output: false,
         }
@@ -102,7 +109,11 @@ impl ServerConfig {
         if let Some(path) = &self.api_key_file {
             keys.extend(keys::read(path)?);
         }
-        Ok(Access { keys, origins: self.cors_allow_origin.clone() })
+        Ok(Access {
+            keys,
+            origins: self.cors_allow_origin.clone(),
+            hosts: self.allowed_host.clone(),
+        })
     }
 
     /// Returns the engine's part of the settings.
@@ -115,7 +126,9 @@ impl ServerConfig {
             batch: self.limits.batch.get(),
             // Only requests with a permit use the model.
             queue: self.limits.max_concurrent_requests.get(),
+            songs: self.limits.max_concurrent_requests.get(),
             audio: self.limits.audio(),
+            effort: self.limits.effort(),
             observer,
         }
     }

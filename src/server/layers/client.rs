@@ -1,12 +1,30 @@
 //! Who calls: by API key, else by address.
 
-use std::net::{IpAddr, SocketAddr};
+use std::{
+    hash::{DefaultHasher, Hash, Hasher},
+    net::{IpAddr, SocketAddr},
+};
 
-use axum::extract::Request;
+use axum::{extract::Request, http::Extensions};
 
 /// Address of the peer, an extension of every request from a connection.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Peer(pub(crate) SocketAddr);
+
+impl Peer {
+    /// The address as a caller.
+    pub(crate) fn client(self) -> Client {
+        Client::Address(match self.0.ip().to_canonical() {
+            IpAddr::V6(address) => IpAddr::V6((address.to_bits() >> 64 << 64).into()),
+            address => address,
+        })
+    }
+}
+
+/// A connection beyond those that there are places for, an extension of its requests: it may ask
+/// how the server is, and nothing else.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Spare;
 
 /// One caller, as far as callers can be distinguished.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -20,18 +38,23 @@ pub(crate) enum Client {
 }
 
 impl Client {
+    /// The caller of a request, once it was identified.
+    pub(crate) fn of(extensions: &Extensions) -> Self {
+        extensions.get::<Self>().copied().unwrap_or(Self::Unknown)
+    }
+
+    /// Tells callers apart where nothing else of them matters.
+    pub(crate) fn number(self) -> u64 {
+        let mut hasher = DefaultHasher::new();
+        self.hash(&mut hasher);
+        hasher.finish()
+    }
+
     /// Returns the peer's address; of IPv6 the network, as one host has all of it. A listener on
     /// `::` sees IPv4 peers as mapped addresses, all of one network.
     pub(crate) fn of_address(request: &Request) -> Self {
         let peer = request.extensions().get::<Peer>();
-        match peer.map(|peer| peer.0.ip().to_canonical()) {
-            None => Self::Unknown,
-            Some(IpAddr::V6(address)) => {
-                let network = address.to_bits() >> 64 << 64;
-                Self::Address(IpAddr::V6(network.into()))
-            }
-            Some(address) => Self::Address(address),
-        }
+        peer.map_or(Self::Unknown, |peer| peer.client())
     }
 }
 

@@ -2,18 +2,20 @@
 
 use std::{
     any::Any,
+    convert::Infallible,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use axum::{
     Router,
-    body::Body,
+    body::{Body, HttpBody},
     extract::{MatchedPath, Request, State},
-    http::{HeaderName, HeaderValue, Method, Response},
+    http::{HeaderName, HeaderValue, Method, Response, header},
     middleware::{self, Next},
-    response::IntoResponse,
+    response::{IntoResponse, IntoResponseParts, ResponseParts},
 };
+use futures_util::StreamExt;
 use tower::ServiceBuilder;
 use tower_http::{
     catch_panic::CatchPanicLayer,
@@ -23,9 +25,15 @@ use tower_http::{
 use tracing::Span;
 
 use crate::server::{
+    blocking::panic_text,
     error::{Report, ServerError, write_body},
-    metrics::SharedMetrics,
+    layers::{
+        client::{Client, Spare},
+        host,
+    },
     options::shorten,
+    response::paced,
+    state::SharedState,
 };
 
 pub(crate) const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -33,8 +41,8 @@ const TOTAL_TIME: HeaderName = HeaderName::from_static("x-total-time");
 const LONGEST_REQUEST_ID: usize = 128;
 
 /// Wraps `router`, outermost first: id, trace, error shape with time and count, panics.
-pub(crate) fn wrap(router: Router, metrics: SharedMetrics) -> Router {
-    let panics = Arc::clone(&metrics);
+pub(crate) fn wrap(router: Router, state: SharedState, hosts: &[String]) -> Router {
+    let panics = Arc::clone(&state.metrics);
     // Around each route, so that its pattern is known, and around the fallback.
     router.layer(
         ServiceBuilder::new()
@@ -50,7 +58,7 @@ pub(crate) fn wrap(router: Router, metrics: SharedMetrics) -> Router {
                     .on_eos(())
                     .on_failure(()),
             )
-            .layer(middleware::from_fn_with_state(metrics, finish))
+            .layer(middleware::from_fn_with_state((state, hosts.into()), finish))
             .layer(CatchPanicLayer::custom(move |panic: Box<dyn Any + Send>| {
                 panics.panicked("handler");
                 answer_panic(panic.as_ref())
@@ -98,7 +106,7 @@ fn log_response<B>(response: &Response<B>, latency: Duration, _span: &Span) {
 }
 
 async fn finish(
-    State(metrics): State<SharedMetrics>,
+    State((state, hosts)): State<(SharedState, Arc<[String]>)>,
     request: Request,
     next: Next,
 ) -> Response<Body> {
@@ -107,8 +115,18 @@ async fn finish(
     let method = method_name(request.method());
     let route =
         request.extensions().get::<MatchedPath>().map_or("other", MatchedPath::as_str).to_owned();
-    let mut response = next.run(request).await;
+    let client = Client::of_address(&request);
+    let probe = PROBES.contains(&request.uri().path());
+    let spare = request.extensions().get::<Spare>().is_some();
+    let retry_after = state.limits.answer_idle_timeout;
+    let mut response = match host::check(&request, &hosts[..]) {
+        _ if probe => held(&state, client, next.run(request).await),
+        Err(refused) => refused.into_response(),
+        Ok(()) if spare => ServerError::Spare { retry_after }.into_response(),
+        Ok(()) => held(&state, client, next.run(request).await),
+    };
     let status = response.status().as_u16();
+    let metrics = &state.metrics;
     metrics.answered(&route, method, status, started.elapsed());
     if let Some(report) = response.extensions().get::<Report>()
         && !report.repeated
@@ -121,6 +139,53 @@ async fn finish(
     let total = time_header(started.elapsed());
     response.headers_mut().insert(TOTAL_TIME, total);
     response
+}
+
+/// What is answered whatever host was named, and on a connection beyond all places.
+const PROBES: [&str; 3] = ["/health", "/ready", "/metrics"];
+/// A response so small that its memory is that of its connection.
+const SMALL: u64 = 1024;
+
+/// How a response says what becomes of its body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Held {
+    /// It is paced already, and its memory reserved.
+    Paced,
+    /// All readers share its bytes.
+    Shared,
+}
+
+impl IntoResponseParts for Held {
+    type Error = Infallible;
+
+    fn into_response_parts(self, mut parts: ResponseParts) -> Result<ResponseParts, Infallible> {
+        parts.extensions_mut().insert(self);
+        Ok(parts)
+    }
+}
+
+/// Counts a response among those that wait for their readers, and gives its reader a pace.
+fn held(state: &SharedState, client: Client, response: Response<Body>) -> Response<Body> {
+    let held = response.extensions().get::<Held>().copied();
+    let length = response.body().size_hint().exact().unwrap_or(0);
+    if held == Some(Held::Paced) || length <= SMALL {
+        return response;
+    }
+    let room = match held {
+        Some(_) => None,
+        None => match state.resources.try_reserve_response(client, length) {
+            Ok(room) => Some(room),
+            Err(refused) => return refused.into_response(),
+        },
+    };
+    let (mut parts, body) = response.into_parts();
+    parts.headers.insert(header::CONTENT_LENGTH, HeaderValue::from(length));
+    // A body that is there already: a reader who leaves loses it with its room.
+    let data = body.into_data_stream().filter_map(move |part| {
+        let _room = &room;
+        std::future::ready(part.ok())
+    });
+    Response::from_parts(parts, paced::from_stream(data, state.pace()))
 }
 
 /// Names the methods of ours: callers can make others up.
@@ -137,15 +202,6 @@ fn method_name(method: &Method) -> &'static str {
 
 fn answer_panic(panic: &(dyn Any + Send)) -> Response<Body> {
     ServerError::Internal(format!("panic: {}", panic_text(panic))).into_response()
-}
-
-/// Returns the message of a panic, as far as it has one.
-pub(crate) fn panic_text(panic: &(dyn Any + Send)) -> &str {
-    panic
-        .downcast_ref::<&str>()
-        .copied()
-        .or_else(|| panic.downcast_ref::<String>().map(String::as_str))
-        .unwrap_or("without a message")
 }
 
 /// Returns milliseconds, to the microsecond, as the JSON result has them.
@@ -166,6 +222,7 @@ mod tests {
     use tower::ServiceExt;
 
     use super::*;
+    use crate::server::{config::Limits, metrics::SharedMetrics, state::ServerState};
 
     #[tokio::test]
     async fn panics_of_handlers_are_counted() {
@@ -173,7 +230,8 @@ mod tests {
             panic!("a panic that the test wants")
         }
         let metrics = SharedMetrics::default();
-        let app = wrap(Router::new().route("/", get(broken)), Arc::clone(&metrics));
+        let state = ServerState::loading(Limits::default(), Arc::clone(&metrics));
+        let app = wrap(Router::new().route("/", get(broken)), state, &[]);
         let answer = app.oneshot(Request::new(Body::empty())).await.unwrap();
         assert_eq!(answer.status(), StatusCode::INTERNAL_SERVER_ERROR);
         let text = metrics.text().unwrap();

@@ -5,9 +5,11 @@ mod process;
 use std::{
     fmt,
     sync::{Arc, OnceLock, atomic::AtomicU64},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
+use bytes::Bytes;
+use parking_lot::Mutex;
 use prometheus_client::{
     encoding::text::encode,
     metrics::{
@@ -28,6 +30,9 @@ type One = [(&'static str, &'static str); 1];
 type Any = [(&'static str, String); 1];
 type Three = [(&'static str, String); 3];
 
+/// Scrapes within this time have the same text.
+const MOMENT: Duration = Duration::from_millis(100);
+
 type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
 
 /// Defines all metrics: visibility, field, type and first value, name, unit if any, and help. A
@@ -41,6 +46,8 @@ macro_rules! metrics {
         pub struct Metrics {
             registry: Registry,
             model: OnceLock<String>,
+            // Held while a scrape is written, which takes less than a millisecond.
+            last_text: Mutex<Option<(Instant, Bytes)>>,
             $(#[doc = $help] $visibility $field: $type,)+
         }
 
@@ -56,6 +63,7 @@ macro_rules! metrics {
                 Self {
                     registry,
                     model: OnceLock::new(),
+                    last_text: Mutex::default(),
                     $($field,)+
                 }
             }
@@ -98,6 +106,8 @@ metrics! {
         "uploads", "Bodies in transfer";
     jobs: Family<One, Gauge> = Family::default(),
         "jobs", "Jobs kept, by state";
+    pub(crate) answer_bytes: Gauge = Gauge::default(),
+        "answer" in Bytes, "Bytes of responses held for their readers";
     pub(crate) upload_bytes: Gauge = Gauge::default(),
         "upload" in Bytes, "Bytes of uploads held until they are decoded";
     request_duration: Histograms<Any> = Family::new_with_constructor(long),
@@ -128,6 +138,20 @@ impl Metrics {
     /// Names the model in `bailando_build_info`.
     pub(crate) fn loaded(&self, model: &str) {
         self.model.get_or_init(|| model.to_owned());
+    }
+
+    /// Returns the text of a scrape, the same one for all who ask within a moment: however many do,
+    /// there are few of it.
+    pub(crate) fn shared_text(&self) -> Result<Bytes, fmt::Error> {
+        let mut last = self.last_text.lock();
+        if let Some((at, text)) = &*last
+            && at.elapsed() < MOMENT
+        {
+            return Ok(text.clone());
+        }
+        let text = Bytes::from(self.text()?);
+        *last = Some((Instant::now(), text.clone()));
+        Ok(text)
     }
 
     /// Returns the text of a scrape.

@@ -1,19 +1,26 @@
 //! Running requests and waiting ones; one more is told to come back later.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tracing::Instrument;
 
-use super::budget::{Budget, Reservation};
+use super::{
+    budget::{Budget, Reservation},
+    turns::{Turn, Turns},
+};
 use crate::server::{
     config::{Limits, Seconds},
     error::ServerError,
+    layers::client::Client,
     metrics::SharedMetrics,
 };
 
-/// A bounded number of running requests, and a bounded queue.
+/// A bounded number of running requests, and a bounded queue. Clients take turns, and none takes
+/// all workers or all of the queue.
 #[derive(Debug)]
 pub(crate) struct Admission {
+    turns: Turns,
+    /// Follows the turns that are taken, and how long they are held.
     workers: Budget,
     queue: Budget,
     metrics: SharedMetrics,
@@ -21,10 +28,12 @@ pub(crate) struct Admission {
 
 impl Admission {
     pub(crate) fn new(limits: &Limits, metrics: SharedMetrics) -> Self {
-        let running = limits.max_concurrent_requests.get() as u64;
+        let workers = limits.max_concurrent_requests.get();
+        let share = limits.share_of(limits.queue as u64);
         Self {
-            workers: Budget::new(running, metrics.running.clone()),
-            queue: Budget::new(limits.queue as u64, metrics.queue_waiting.clone()),
+            turns: Turns::new(workers, limits.share_of(workers as u64) as usize),
+            workers: Budget::new(workers as u64, metrics.running.clone()),
+            queue: Budget::shared(limits.queue as u64, share, metrics.queue_waiting.clone()),
             metrics,
         }
     }
@@ -33,48 +42,44 @@ impl Admission {
     ///
     /// # Errors
     /// [`ServerError::QueueFull`].
-    pub(crate) fn check_room(&self) -> Result<(), ServerError> {
-        match self.is_full() {
+    pub(crate) fn check_room(&self, client: Client) -> Result<(), ServerError> {
+        let full = self.turns.is_full(client) && !self.queue.has_room_for(client, 1);
+        match full {
             true => Err(self.queue_full()),
             false => Ok(()),
         }
-    }
-
-    /// Whether all workers are busy and the queue is full.
-    pub(crate) fn is_full(&self) -> bool {
-        self.workers.is_exhausted() && self.queue.is_exhausted()
     }
 
     /// Waits in the queue for a worker, in a span of its own.
     ///
     /// # Errors
     /// [`ServerError::QueueFull`].
-    pub(crate) async fn admit(&self) -> Result<Permit, ServerError> {
+    pub(crate) async fn admit(&self, client: Client) -> Result<Permit, ServerError> {
         let span = tracing::info_span!("stage", otel.name = "queue");
         let admitted = async {
-            if let Some(worker) = self.workers.try_reserve(1) {
-                return Ok(self.permit(worker, Duration::ZERO));
+            if let Some(turn) = self.turns.try_take(client) {
+                return Ok(self.permit(turn, Duration::ZERO).await);
             }
-            let _place = self.queue.try_reserve(1).ok_or_else(|| self.queue_full())?;
-            Ok(self.admit_unqueued().await)
+            let place = self.queue.try_reserve_for(client, 1);
+            let _place = place.map_err(|_| self.queue_full())?;
+            Ok(self.admit_unqueued(client).await)
         };
         admitted.instrument(span).await
     }
 
     /// Waits for a worker without a place in the queue, for callers that are bounded elsewhere.
-    pub(crate) async fn admit_unqueued(&self) -> Permit {
-        let asked = Instant::now();
-        let worker = self.workers.reserve(1).await;
-        self.permit(worker, asked.elapsed())
+    pub(crate) async fn admit_unqueued(&self, client: Client) -> Permit {
+        let (turn, waited) = self.turns.take(client).await;
+        self.permit(turn, waited).await
     }
 
-    fn permit(&self, worker: Reservation, waited: Duration) -> Permit {
+    async fn permit(&self, turn: Turn, waited: Duration) -> Permit {
         self.metrics.waited(waited);
-        Permit { waited, worker }
+        Permit { waited, worker: self.workers.reserve(1).await, _turn: turn }
     }
 
     fn queue_full(&self) -> ServerError {
-        ServerError::QueueFull { queue: self.queue.capacity(), retry_after: self.retry_after() }
+        ServerError::QueueFull { queue: self.queue.reserved(), retry_after: self.retry_after() }
     }
 
     /// When a new request would probably find a place: the length of the queue times the median
@@ -90,7 +95,9 @@ impl Admission {
 pub(crate) struct Permit {
     /// Time spent waiting for it.
     pub(crate) waited: Duration,
+    // Given back before the turn, so that whose turn comes next finds it.
     worker: Reservation,
+    _turn: Turn,
 }
 
 impl Permit {
@@ -111,6 +118,8 @@ mod tests {
 
     use super::*;
 
+    const ANY: Client = Client::Unknown;
+
     fn admission() -> Arc<Admission> {
         let limits =
             Limits { max_concurrent_requests: NonZeroUsize::MIN, queue: 1, ..Limits::default() };
@@ -120,16 +129,16 @@ mod tests {
     #[tokio::test]
     async fn the_queue_is_bounded_and_moves_on() {
         let admission = admission();
-        let first = admission.admit().await.unwrap();
+        let first = admission.admit(ANY).await.unwrap();
         let second = tokio::spawn({
             let admission = Arc::clone(&admission);
-            async move { admission.admit().await.map(|permit| permit.waited) }
+            async move { admission.admit(ANY).await.map(|permit| permit.waited) }
         });
         while admission.queue.reserved() == 0 {
             tokio::task::yield_now().await;
         }
-        assert!(admission.check_room().is_err());
-        assert!(matches!(admission.admit().await, Err(ServerError::QueueFull { queue: 1, .. })));
+        assert!(admission.check_room(ANY).is_err());
+        assert!(matches!(admission.admit(ANY).await, Err(ServerError::QueueFull { queue: 1, .. })));
         drop(first);
         assert!(second.await.unwrap().is_ok());
         assert_eq!(admission.queue.reserved(), 0);
@@ -139,8 +148,8 @@ mod tests {
     #[tokio::test]
     async fn a_client_that_disconnects_leaves_the_queue() {
         let admission = admission();
-        let _first = admission.admit().await.unwrap();
-        let mut waiting = Box::pin(admission.admit());
+        let _first = admission.admit(ANY).await.unwrap();
+        let mut waiting = Box::pin(admission.admit(ANY));
         let mut context = Context::from_waker(Waker::noop());
         assert!(waiting.as_mut().poll(&mut context).is_pending());
         assert_eq!(admission.queue.reserved(), 1);
@@ -152,10 +161,10 @@ mod tests {
     async fn only_generations_tell_the_service_time() {
         let admission = admission();
         for _ in 0..3 {
-            drop(admission.admit().await.unwrap());
+            drop(admission.admit(ANY).await.unwrap());
         }
         assert_eq!(admission.retry_after(), Seconds::new(2));
-        admission.admit().await.unwrap().complete();
+        admission.admit(ANY).await.unwrap().complete();
         assert!(admission.retry_after() < Seconds::new(1));
     }
 }

@@ -2,19 +2,23 @@
 
 mod admission;
 mod budget;
+mod transfers;
+mod turns;
 mod uploads;
 
 use std::{sync::Arc, time::Duration};
 
 pub(crate) use self::{
     admission::{Admission, Permit},
-    budget::{Budget, Reservation},
+    budget::{Budget, Reservation, Short},
+    turns::Turns,
     uploads::{HeldBytes, UploadReservation, Uploads},
 };
 use super::{
     config::{ByteSize, Limits, Seconds},
     error::ServerError,
-    metrics::SharedMetrics,
+    layers::client::Client,
+    metrics::{Metrics, SharedMetrics},
 };
 
 /// How long a response waits for its memory, where the request has time for twice that.
@@ -30,26 +34,32 @@ pub(crate) struct Resources {
     /// Bytes of responses that may wait for their readers.
     responses: Budget,
     /// Workers that jobs may use: half of all, at least one.
-    pub(crate) job_workers: Budget,
-    /// Results of jobs that may be written at the same time.
-    pub(crate) writers: Budget,
+    pub(crate) job_workers: Turns,
+    /// Results of jobs that may be written at the same time, and those that wait for it.
+    pub(crate) writers: Admission,
     memory: ByteSize,
-    /// Time after which a client that reads nothing gives its memory back.
+    /// Time after which a client that reads too little gives its memory back.
     idle_timeout: Seconds,
     wait_for_memory: Duration,
 }
 
 impl Resources {
     pub(crate) fn new(limits: &Limits, metrics: &SharedMetrics) -> Self {
-        let workers = limits.max_concurrent_requests.get() as u64;
+        let jobs = (limits.max_concurrent_requests.get() as u64 / 2).max(1);
         let audio = limits.audio_seconds_in_flight as u64;
+        let memory = limits.answer_memory.0;
         Self {
             admission: Admission::new(limits, Arc::clone(metrics)),
             uploads: Uploads::new(limits, metrics),
             audio: Budget::new(audio, metrics.audio_in_flight.clone()),
-            responses: Budget::unnamed(limits.answer_memory.0),
-            job_workers: Budget::unnamed((workers / 2).max(1)),
-            writers: Budget::unnamed(workers),
+            responses: Budget::shared(
+                memory,
+                limits.share_of(memory),
+                metrics.answer_bytes.clone(),
+            ),
+            job_workers: Turns::new(jobs as usize, limits.share_of(jobs) as usize),
+            // Metrics of their own, which nobody sees: these are not generations.
+            writers: Admission::new(limits, Arc::new(Metrics::default())),
             memory: limits.answer_memory,
             idle_timeout: limits.answer_idle_timeout,
             // Within the time of the request: one that waits for longer is not told why.
@@ -57,28 +67,67 @@ impl Resources {
         }
     }
 
-    /// Reserves memory for a response. The wait is short: the request keeps its worker meanwhile.
+    /// Reserves memory for a response, before anything of it is written. The wait is short: the
+    /// request keeps its worker meanwhile.
     ///
     /// # Errors
+    /// [`ServerError::UnreadAnswers`] at once for a client that leaves its share unread;
     /// [`ServerError::AnswerMemory`].
-    pub(crate) async fn reserve_response(&self, bytes: usize) -> Result<Reservation, ServerError> {
-        let reserved = self.responses.reserve(bytes as u64);
-        let reserved = tokio::time::timeout(self.wait_for_memory, reserved).await;
-        reserved.map_err(|_| ServerError::AnswerMemory {
-            memory: self.memory,
-            retry_after: self.idle_timeout,
+    pub(crate) async fn reserve_response(
+        &self,
+        client: Client,
+        bytes: usize,
+    ) -> Result<Reservation, ServerError> {
+        let reserved = self.responses.reserve_for(client, bytes as u64);
+        match tokio::time::timeout(self.wait_for_memory, reserved).await {
+            Ok(Ok(reserved)) => Ok(reserved),
+            Ok(Err(_)) => Err(self.unread()),
+            Err(_) => Err(ServerError::AnswerMemory {
+                memory: self.memory,
+                retry_after: self.idle_timeout,
+            }),
+        }
+    }
+
+    /// Reserves memory for a small response that exists.
+    ///
+    /// # Errors
+    /// As [`Resources::reserve_response`], at once.
+    pub(crate) fn try_reserve_response(
+        &self,
+        client: Client,
+        bytes: u64,
+    ) -> Result<Reservation, ServerError> {
+        let bytes = self.responses.clamp(bytes).into();
+        self.responses.try_reserve_for(client, bytes).map_err(|short| match short {
+            Short::Share => self.unread(),
+            Short::All => {
+                ServerError::AnswerMemory { memory: self.memory, retry_after: self.idle_timeout }
+            }
         })
+    }
+
+    /// Refuses a client that leaves all of its share unread, before it costs more.
+    ///
+    /// # Errors
+    /// [`ServerError::UnreadAnswers`].
+    pub(crate) fn check_unread(&self, client: Client) -> Result<(), ServerError> {
+        match self.responses.is_share_left(client) {
+            true => Ok(()),
+            false => Err(self.unread()),
+        }
+    }
+
+    fn unread(&self) -> ServerError {
+        ServerError::UnreadAnswers { memory: self.memory, retry_after: self.idle_timeout }
     }
 
     /// When a request that found no room in time would probably find some: the longest wait for
     /// any budget that is used up.
     pub(crate) fn retry_after(&self) -> Seconds {
-        let short = |budget: &Budget| budget.is_exhausted().then(|| budget.retry_after(1));
+        let audio = self.audio.is_exhausted().then(|| self.audio.retry_after(1));
         let responses = self.responses.is_exhausted().then_some(self.idle_timeout);
-        [short(&self.audio), short(&self.writers), responses]
-            .into_iter()
-            .flatten()
-            .fold(self.admission.retry_after(), Seconds::max)
+        [audio, responses].into_iter().flatten().fold(self.admission.retry_after(), Seconds::max)
     }
 }
 
@@ -96,10 +145,10 @@ mod tests {
         };
         let resources = Resources::new(&limits, &SharedMetrics::default());
         assert_eq!(resources.retry_after(), Seconds::new(2));
-        let held = resources.reserve_response(1_000).await.unwrap();
+        let held = resources.reserve_response(Client::Unknown, 1_000).await.unwrap();
         assert_eq!(resources.retry_after(), Seconds::new(7));
         assert!(matches!(
-            resources.reserve_response(1).await,
+            resources.reserve_response(Client::Unknown, 1).await,
             Err(ServerError::AnswerMemory { retry_after, .. }) if retry_after == Seconds::new(7)
         ));
         drop(held);

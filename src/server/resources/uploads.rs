@@ -1,18 +1,24 @@
 //! Bodies in transfer: how many at once, and how many bytes of them are held.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::Ordering};
 
-use super::budget::{Budget, Reservation};
+use prometheus_client::metrics::gauge::Gauge;
+
+use super::{
+    budget::{Budget, Reservation},
+    transfers::{Displaced, Transfer, Transfers},
+};
 use crate::server::{
     config::{ByteSize, Limits, Seconds},
     error::ServerError,
+    layers::client::Client,
     metrics::Metrics,
 };
 
 /// A bounded number of bodies, and of bytes of them.
 #[derive(Debug)]
 pub(crate) struct Uploads {
-    bodies: Budget,
+    bodies: Arc<Transfers>,
     bytes: Budget,
     /// Bytes that jobs may hold while they wait: half of all, so that room is left for requests
     /// that cannot wait.
@@ -23,10 +29,14 @@ pub(crate) struct Uploads {
 impl Uploads {
     pub(crate) fn new(limits: &Limits, metrics: &Metrics) -> Self {
         let memory = limits.upload_memory;
+        // Room for the largest file in any case.
+        let share = |bytes| limits.share_of(bytes).max(limits.largest_body().0);
+        let (most, jobs) = (limits.max_uploads.get(), memory.0 / 2);
+        let bodies = limits.share_of(most as u64) as usize;
         Self {
-            bodies: Budget::new(limits.max_uploads.get() as u64, metrics.uploads.clone()),
-            bytes: Budget::new(memory.0, metrics.upload_bytes.clone()),
-            job_bytes: Budget::unnamed(memory.0 / 2),
+            bodies: Transfers::new(most, bodies, metrics.uploads.clone()),
+            bytes: Budget::shared(memory.0, share(memory.0), metrics.upload_bytes.clone()),
+            job_bytes: Budget::shared(jobs, share(jobs), Gauge::default()),
             memory,
         }
     }
@@ -35,14 +45,15 @@ impl Uploads {
     ///
     /// # Errors
     /// [`ServerError::TooManyUploads`].
-    pub(crate) fn begin(&self) -> Result<UploadReservation, ServerError> {
-        let body = self.bodies.try_reserve(1);
-        let bytes = self.bytes.try_reserve(0);
+    pub(crate) fn begin(&self, client: Client) -> Result<UploadReservation, ServerError> {
+        let body = self.bodies.begin(client);
+        let bytes = self.bytes.try_reserve_for(client, 0).ok();
         let (body, bytes) = body.zip(bytes).ok_or_else(|| ServerError::TooManyUploads {
-            most: self.bodies.capacity(),
-            retry_after: self.bodies.retry_after(1),
+            most: self.bodies.most(),
+            retry_after: self.bytes.retry_after(1),
         })?;
         Ok(UploadReservation {
+            client,
             body: Some(body),
             bytes: HeldBytes(Arc::new(Mutex::new(bytes))),
             job_bytes: None,
@@ -57,8 +68,8 @@ impl Uploads {
         let held = upload.bytes.lock().units() as u64;
         // One upload may be larger than the half of all that jobs may hold.
         let units = self.job_bytes.clamp(held);
-        let kept = self.job_bytes.try_reserve(units.into());
-        upload.job_bytes = Some(kept.ok_or_else(|| ServerError::UploadMemory {
+        let kept = self.job_bytes.try_reserve_for(upload.client, units.into());
+        upload.job_bytes = Some(kept.map_err(|_| ServerError::UploadMemory {
             memory: self.memory,
             retry_after: self.job_bytes.retry_after(1),
         })?);
@@ -69,7 +80,8 @@ impl Uploads {
 /// The right to receive one body, and to hold it until it is decoded.
 #[derive(Debug)]
 pub(crate) struct UploadReservation {
-    body: Option<Reservation>,
+    client: Client,
+    body: Option<Transfer>,
     bytes: HeldBytes,
     job_bytes: Option<Reservation>,
 }
@@ -80,11 +92,18 @@ impl UploadReservation {
         self.bytes.clone()
     }
 
+    /// The trigger of a body that must give way to another, and a count of what has arrived of it.
+    pub(crate) fn transfer(&self) -> Option<(Displaced, impl Fn(usize) + Send + use<>)> {
+        let Transfer { bytes, displaced, .. } = self.body.as_ref()?;
+        let bytes = Arc::clone(bytes);
+        let arrived = move |more: usize| {
+            bytes.fetch_add(more as u64, Ordering::Relaxed);
+        };
+        Some((displaced.clone(), arrived))
+    }
+
     /// Ends the transfer: the body is held, but no longer on its way.
     pub(crate) fn received(&mut self) {
-        if let Some(body) = &mut self.body {
-            body.measure();
-        }
         self.body = None;
         self.bytes.lock().measure();
     }
@@ -129,14 +148,14 @@ mod tests {
         };
         let uploads = Uploads::new(&limits, &metrics);
         let soon = Seconds::new(2);
-        let mut first = uploads.begin().unwrap();
+        let mut first = uploads.begin(Client::Unknown).unwrap();
         assert!(matches!(
-            uploads.begin(),
+            uploads.begin(Client::Unknown),
             Err(ServerError::TooManyUploads { most: 1, retry_after }) if retry_after == soon
         ));
         first.bytes().add(60).unwrap();
         first.received();
-        let mut second = uploads.begin().unwrap();
+        let mut second = uploads.begin(Client::Unknown).unwrap();
         second.bytes().add(40).unwrap();
         // Two reservations share the two seconds that one is assumed to last.
         assert_eq!(second.bytes().add(1), Err(Seconds::new(1)));

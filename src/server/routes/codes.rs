@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::{
     Json,
-    extract::{Path, State, rejection::PathRejection},
+    extract::{Extension, Path, State, rejection::PathRejection},
     http::header,
     response::{IntoResponse, Response},
 };
@@ -16,10 +16,11 @@ use crate::{
     formats::{CodePoseJson, pose_json},
     model::SuppressedCodes,
     server::{
+        blocking::blocking,
         error::ServerError,
+        layers::client::Client,
         response::documented::{CodePoseErrors, CodebookErrors},
         state::SharedState,
-        work,
     },
 };
 
@@ -90,6 +91,7 @@ pub(crate) async fn codebooks(
 )]
 pub(crate) async fn pose(
     State(state): State<SharedState>,
+    Extension(client): Extension<Client>,
     codes: Result<Path<(u32, u32)>, PathRejection>,
 ) -> Result<Response, ServerError> {
     let Path((upper, lower)) = codes.map_err(|_| ServerError::Option {
@@ -97,14 +99,18 @@ pub(crate) async fn pose(
         problem: "expected two whole numbers, /codes/{upper}/{lower}".to_owned(),
     })?;
     let _under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
-    let json = state.in_time(shown(&state, [upper, lower])).await?;
+    let json = state.in_time(shown(&state, client, [upper, lower])).await?;
     Ok(([(header::CONTENT_TYPE, "application/json")], json).into_response())
 }
 
-async fn shown(state: &SharedState, [upper, lower]: [u32; 2]) -> Result<Vec<u8>, ServerError> {
+async fn shown(
+    state: &SharedState,
+    client: Client,
+    [upper, lower]: [u32; 2],
+) -> Result<Vec<u8>, ServerError> {
     let engine = Arc::clone(state.engine()?);
-    state.resources.admission.check_room()?;
-    let permit = state.resources.admission.admit().await?;
+    state.resources.admission.check_room(client)?;
+    let permit = state.resources.admission.admit(client).await?;
     let fps = engine.manifest().fps;
     let metrics = Arc::clone(&state.metrics);
     // A task of its own: the permit is held until the work has ended.
@@ -112,7 +118,7 @@ async fn shown(state: &SharedState, [upper, lower]: [u32; 2]) -> Result<Vec<u8>,
         let _permit = permit;
         let positions = engine.pose([upper, lower]).await.map_err(of_code)?;
         let json = move || Ok(pose_json([upper, lower], fps, &positions)?);
-        work::blocking(&metrics, "codes", json).await
+        blocking(&metrics, "codes", json).await
     });
     let failed = |failed: tokio::task::JoinError| Err(ServerError::Internal(failed.to_string()));
     shown.await.unwrap_or_else(failed)

@@ -11,18 +11,19 @@ use axum::{
 use crate::{
     formats::{GeneratedMotion, OutputFormat, Timings},
     server::{
-        body::IncomingBody,
-        envelope::time_header,
         error::ServerError,
         intake::{self, Purpose},
+        layers::envelope::{Held, time_header},
         options::RequestOptions,
-        resources::{Permit, Reservation},
+        resources::Permit,
         response::{
+            answer::Written,
             documented::{GenerationErrors, MotionResponse},
-            idle_body,
+            paced, warnings,
         },
         state::SharedState,
-        warnings, work,
+        upload::body::IncomingBody,
+        work,
     },
 };
 
@@ -56,16 +57,16 @@ async fn render(
 ) -> Result<Rendered, ServerError> {
     let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
     let made = async {
-        let permit = state.resources.admission.admit().await?;
+        let permit = state.resources.admission.admit(order.client).await?;
         let (dance, work) = work::dance(state, &mut order, permit, "generate").await?;
         let dance = Arc::new(dance);
-        let (options, format) = (order.options.clone(), order.shape.format);
-        let written = Arc::clone(&dance);
-        let body = work::write(&state.metrics, Some(&work), written, options, format).await?;
+        let (format, held) = (order.shape.format, (&*state.resources, &state.metrics));
+        let (client, options) = (order.client, &order.options);
+        let writing = (Some(Arc::clone(&work)), Arc::clone(&dance));
         // Slow readers hold memory: the permit is free only once there is some.
-        let room = state.resources.reserve_response(body.len()).await?;
+        let written = Written::new(held, client, writing.0, writing.1, options, format).await?;
         work.end().into_iter().for_each(Permit::complete);
-        Ok(Rendered::new(&dance, body, format, room))
+        Ok(Rendered::new(&dance, written, format))
     }
     .await;
     order.waiting.answered();
@@ -74,30 +75,27 @@ async fn render(
 
 /// What is left of a dance once it has been written.
 pub(crate) struct Rendered {
-    body: Vec<u8>,
+    written: Arc<Written>,
     format: OutputFormat,
     seed: u64,
     tail: Option<String>,
     timings: Timings,
     warnings: Vec<String>,
-    room: Reservation,
 }
 
 impl Rendered {
     pub(crate) fn new(
         dance: &GeneratedMotion,
-        body: Vec<u8>,
+        written: Arc<Written>,
         format: OutputFormat,
-        room: Reservation,
     ) -> Self {
         Self {
-            body,
+            written,
             format,
             seed: dance.seed,
             tail: dance.continuation.as_ref().map(crate::formats::Continuation::to_text),
             timings: dance.timings,
             warnings: dance.warnings.clone(),
-            room,
         }
     }
 
@@ -106,12 +104,13 @@ impl Rendered {
     pub(crate) fn respond(
         self,
         state: &SharedState,
-        under_way: impl Send + Sync + 'static,
+        under_way: impl Send + 'static,
         taken: impl FnOnce() + Send + 'static,
     ) -> Response {
+        let bytes = self.written.bytes();
         let mut headers = HeaderMap::new();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(self.format.content_type()));
-        headers.insert(header::CONTENT_LENGTH, HeaderValue::from(self.body.len()));
+        headers.insert(header::CONTENT_LENGTH, HeaderValue::from(bytes.len()));
         headers.insert(SEED, HeaderValue::from(self.seed));
         if let Some(tail) = self.tail.and_then(|tail| HeaderValue::try_from(tail).ok()) {
             headers.insert(TAIL, tail);
@@ -124,9 +123,8 @@ impl Rendered {
                 headers.insert(header::CONTENT_DISPOSITION, name);
             }
         }
-        let patience = state.limits.answer_idle_timeout.0;
-        let body = idle_body::from_bytes(self.body, (under_way, self.room), patience, taken);
-        (headers, body).into_response()
+        let body = paced::from_bytes(bytes, under_way, state.pace(), taken);
+        (Held::Paced, headers, body).into_response()
     }
 }
 

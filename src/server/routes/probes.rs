@@ -10,7 +10,8 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::server::{
-    error::ServerError, info::Info, response::documented::NotReady, state::SharedState,
+    error::ServerError, info::Info, layers::envelope::Held, response::documented::NotReady,
+    state::SharedState,
 };
 
 /// Answer of the probes.
@@ -82,7 +83,8 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
     ))
 )]
 pub(crate) async fn metrics(State(state): State<SharedState>) -> Result<Response, ServerError> {
-    let text = state.metrics.text();
+    let text = state.metrics.shared_text();
     let text = text.map_err(|error| ServerError::Internal(error.to_string()))?;
-    Ok(([(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response())
+    // Whoever else holds memory, this is answered.
+    Ok((Held::Shared, [(header::CONTENT_TYPE, OPEN_METRICS)], text).into_response())
 }

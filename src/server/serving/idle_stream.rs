@@ -14,6 +14,7 @@ use tokio::{
     time::{Instant, Sleep, sleep, sleep_until},
 };
 
+use super::heads::Heads;
 use crate::server::config::Limits;
 
 /// Bytes that tell HTTP/1 from HTTP/2: the preface of the latter.
@@ -25,6 +26,9 @@ pub(super) struct IdleTimeoutStream {
     /// Bytes of the preface that are still to come.
     preface_left: usize,
     preface_deadline: Pin<Box<Sleep>>,
+    heads: Heads,
+    head_timeout: Duration,
+    head_deadline: Option<Pin<Box<Sleep>>>,
     write_timeout: Duration,
     write_deadline: Option<Pin<Box<Sleep>>>,
 }
@@ -36,6 +40,9 @@ impl IdleTimeoutStream {
             stream,
             preface_left: PREFACE,
             preface_deadline: Box::pin(sleep_until(until)),
+            heads: Heads::default(),
+            head_timeout: limits.header_read_timeout.0,
+            head_deadline: None,
             write_timeout: limits.answer_idle_timeout.0,
             write_deadline: None,
         }
@@ -66,9 +73,21 @@ impl AsyncRead for IdleTimeoutStream {
     ) -> Poll<io::Result<()>> {
         let before = buffer.filled().len();
         let read = Pin::new(&mut self.stream).poll_read(context, buffer);
-        self.preface_left = self.preface_left.saturating_sub(buffer.filled().len() - before);
+        let new = buffer.filled().get(before..).unwrap_or_default();
+        self.preface_left = self.preface_left.saturating_sub(new.len());
+        self.heads.read(new);
         if read.is_pending() && self.preface_left > 0 {
             ready!(self.preface_deadline.as_mut().poll(context));
+            return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+        }
+        if !self.heads.is_incomplete() {
+            self.head_deadline = None;
+            return read;
+        }
+        // From its first byte on, however many more come.
+        let timeout = self.head_timeout;
+        let deadline = self.head_deadline.get_or_insert_with(|| Box::pin(sleep(timeout)));
+        if deadline.as_mut().poll(context).is_ready() {
             return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
         }
         read

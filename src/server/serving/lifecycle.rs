@@ -30,6 +30,11 @@ impl Lifecycle {
         self.draining.is_cancelled()
     }
 
+    /// Triggered by [`Lifecycle::drain`].
+    pub(crate) fn stopping(&self) -> CancellationToken {
+        self.draining.clone()
+    }
+
     /// Lets no more requests enter.
     pub(crate) fn drain(&self) {
         self.draining.cancel();

@@ -1,8 +1,11 @@
 //! The life of the server: listening, connections, draining, stopping.
 
 mod connection;
+pub(crate) mod cut;
+mod heads;
 mod idle_stream;
 pub(crate) mod lifecycle;
+mod places;
 mod serve;
 mod signals;
 

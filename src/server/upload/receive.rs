@@ -55,7 +55,7 @@ pub(crate) async fn receive(
     limits: &Limits,
     reservation: &mut UploadReservation,
 ) -> Result<Upload, ServerError> {
-    let body = body.limited(most_bytes(media, limits)).counted(reservation.bytes());
+    let body = body.limited(most_bytes(media, limits)).counted(reservation);
     let upload = match media {
         Media::Raw => {
             let mut audio = AudioBuffer::new(limits, body.declared());
@@ -193,7 +193,11 @@ fn body_error(error: &BodyError, limits: &Limits) -> ServerError {
         BodyError::TooSlow => ServerError::UploadTimeout {
             idle: limits.body_idle_timeout,
             total: limits.body_timeout,
+            rate: limits.body_least_rate,
         },
+        BodyError::Displaced => {
+            ServerError::UploadDisplaced { retry_after: limits.body_idle_timeout }
+        }
         BodyError::NoRoom { retry_after } => {
             ServerError::UploadMemory { memory: limits.upload_memory, retry_after: *retry_after }
         }

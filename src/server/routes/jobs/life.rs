@@ -12,6 +12,7 @@ use crate::{
         intake::Order,
         jobs::{Finished, Job, JobState},
         resources::Permit,
+        response::answer::Answers,
         state::SharedState,
         work,
     },
@@ -40,6 +41,7 @@ pub(super) async fn live(
     job.turn(match done {
         Ok(dance) => JobState::Done(Arc::new(Finished {
             dance: Arc::new(dance),
+            answers: Answers::default(),
             options,
             format: shape.format,
         })),
@@ -93,11 +95,14 @@ async fn run(
     job: &Job,
 ) -> Result<GeneratedMotion, ServerError> {
     let ordered = Instant::now();
-    let _slot = state.resources.job_workers.reserve(1).await;
-    let mut permit = state.resources.admission.admit_unqueued().await;
+    let _slot = state.resources.job_workers.take(job.owner).await;
+    let mut permit = state.resources.admission.admit_unqueued(job.owner).await;
     permit.waited = ordered.elapsed();
     job.turn(JobState::Running);
-    let (dance, work) = work::dance(state, order, permit, "job").await?;
+    let limit = state.limits.job_timeout;
+    let dance = tokio::time::timeout(limit.0, work::dance(state, order, permit, "job")).await;
+    let retry_after = state.resources.retry_after();
+    let (dance, work) = dance.map_err(|_| ServerError::JobTimeout { limit, retry_after })??;
     work.end().into_iter().for_each(Permit::complete);
     Ok(dance)
 }
@@ -108,8 +113,8 @@ mod tests {
 
     use super::*;
     use crate::server::{
-        access::Client,
         config::{Limits, Seconds},
+        layers::client::Client,
         metrics::SharedMetrics,
         state::ServerState,
         tracker::RequestTracker,

@@ -16,18 +16,18 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use crate::server::{
-    access::Client,
-    body::IncomingBody,
-    envelope::request_id,
     error::{ErrorBody, Report, ServerError},
     intake::{self, Purpose},
     jobs::{Job, JobState},
-    negotiate,
+    layers::{client::Client, envelope::request_id},
     options::{OutputOptions, RequestOptions, shorten},
-    response::documented::{JobErrors, JobResultErrors, MotionResponse, NewJobErrors},
+    response::{
+        documented::{JobErrors, JobResultErrors, MotionResponse, NewJobErrors},
+        negotiate,
+    },
     routes::generate::Rendered,
     state::SharedState,
-    work,
+    upload::body::IncomingBody,
 };
 
 /// How far a job is.
@@ -190,11 +190,9 @@ pub(crate) async fn result(
     };
     let under_way = state.lifecycle.go_on();
     let rendered = state.in_time(async {
-        let _writer = state.resources.writers.reserve(1).await;
-        let dance = Arc::clone(&finished.dance);
-        let body = work::write(&state.metrics, None, dance, options, format).await?;
-        let room = state.resources.reserve_response(body.len()).await?;
-        Ok(Rendered::new(&finished.dance, body, format, room))
+        let (dance, held) = (&finished.dance, (&state.resources, &state.metrics));
+        let written = finished.answers.get(held, client, dance, &options, format).await?;
+        Ok(Rendered::new(dance, written, format))
     });
     let rendered = rendered.await?;
     Ok(rendered.respond(&state, under_way, move || job.fetched.cancel()))

@@ -1,5 +1,6 @@
 //! `POST /generate/stream`: a dance while it is made.
 
+mod opened;
 mod sender;
 
 use std::{sync::Arc, time::Duration};
@@ -12,25 +13,28 @@ use axum::{
 use tokio::{sync::mpsc, time::Instant};
 use tracing::Instrument;
 
-use self::sender::{Event, Forward, Sender};
+use self::{
+    opened::{Event, Forward, Opened},
+    sender::Sender,
+};
 use crate::{
     engine::{Generation, Opening},
     server::{
-        body::IncomingBody,
-        envelope::request_id,
         error::ServerError,
         intake::{self, Order, Purpose},
-        negotiate::{EVENTS, LINES},
+        layers::envelope::{Held, request_id},
         options::RequestOptions,
         resources::{Permit, Reservation},
         response::{
             documented::{GenerationErrors, StreamResponse},
-            idle_body,
+            negotiate::{EVENTS, LINES},
+            paced, warnings,
         },
         routes::generate::{SEED, times},
         state::SharedState,
         tracker::Work,
-        warnings, work,
+        upload::body::IncomingBody,
+        work,
     },
 };
 
@@ -61,9 +65,9 @@ pub(crate) async fn stream(
     let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
     let opened = state.in_time(open(&state, parts, body, until)).await?;
     let headers = head(&opened);
-    let patience = state.limits.answer_idle_timeout.0;
+    let pace = state.pace();
     let sender = Sender::new(state, request_id, opened, under_way)?;
-    Ok((headers, idle_body::from_stream(sender.events(), patience)).into_response())
+    Ok((Held::Paced, headers, paced::from_stream(sender.events(), pace)).into_response())
 }
 
 fn head(opened: &Opened) -> HeaderMap {
@@ -77,14 +81,6 @@ fn head(opened: &Opened) -> HeaderMap {
     headers.remove("x-inference-time");
     warnings::append(&mut headers, &opening.warnings);
     headers
-}
-
-/// A dance that has begun.
-struct Opened {
-    order: Order,
-    opening: Opening,
-    events: mpsc::UnboundedReceiver<Event>,
-    room: Reservation,
 }
 
 async fn open(
@@ -110,17 +106,24 @@ async fn begin(
     order: &mut Order,
     until: Instant,
 ) -> Result<(Opening, mpsc::UnboundedReceiver<Event>, Reservation), ServerError> {
-    let permit = state.resources.admission.admit().await?;
+    let permit = state.resources.admission.admit(order.client).await?;
     let waited = permit.waited;
     let (request, work) = order.begin(state, permit).await?;
-    let room = state.resources.reserve_response(most_bytes(state, order)).await?;
+    let fps = order.engine.manifest().fps as usize;
+    let most = bytes_of(order, order.most_seconds(&state.limits) as usize * fps);
+    let mut room = state.resources.reserve_response(order.client, most).await?;
     let (sender, mut events) = mpsc::unbounded_channel();
     let stream = Arc::new(Forward { waited, sender: sender.clone() });
     let generation = order.engine.submit(request.streamed_to(stream));
     let run = Run { state: Arc::clone(state), work, sender, until };
     tokio::spawn(run.until_the_end(generation, waited).in_current_span());
     match events.recv().await {
-        Some(Event::Opened(opening)) => Ok((*opening, events, room)),
+        Some(Event::Opened(opening)) => {
+            // The song is known now, and mostly shorter than the longest.
+            let seconds = opening.frames.div_ceil(opening.fps as usize);
+            room.shrink_to(bytes_of(order, seconds * fps) as u64);
+            Ok((*opening, events, room))
+        }
         Some(Event::Ended(ended)) => Err(match *ended {
             Err(error) => error,
             Ok(_) => ServerError::Internal("a dance ended before it began".to_owned()),
@@ -160,9 +163,7 @@ impl Run {
     }
 }
 
-/// Most bytes of decoded motion that may wait for a reader: all of the dance, as float32.
-fn most_bytes(state: &SharedState, order: &Order) -> usize {
-    let manifest = order.engine.manifest();
-    let frames = order.most_seconds(&state.limits) as usize * manifest.fps as usize;
-    frames * manifest.decoded_columns() * size_of::<f32>()
+/// Bytes of decoded motion, which may wait for a reader: all of the dance, as float32.
+fn bytes_of(order: &Order, frames: usize) -> usize {
+    frames * order.engine.manifest().decoded_columns() * size_of::<f32>()
 }

@@ -4,49 +4,21 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use futures_util::{Stream, stream};
-use ndarray::Array2;
 use tokio::{sync::mpsc, time::Instant};
 
-use super::Opened;
+use super::opened::{Event, Opened};
 use crate::{
-    engine::{EngineError, GenerationOutput, MotionStream, Opening},
+    engine::{EngineError, GenerationOutput, Opening},
     formats::{JsonOptions, Start, done_event, frames_event, start_event},
     motion::{Finished, Finisher, MotionError},
     server::{
+        blocking::blocking,
         error::{ErrorEvent, ServerError},
         resources::Reservation,
         state::SharedState,
         tracker::Waiting,
-        work,
     },
 };
-
-/// Messages of the work to the answer. All of a dance fits into the answer memory that is reserved
-/// for it.
-pub(super) enum Event {
-    Opened(Box<Opening>),
-    Frames(Array2<f32>),
-    Ended(Box<Result<GenerationOutput, ServerError>>),
-}
-
-/// Passes on what the engine tells.
-pub(super) struct Forward {
-    /// Time spent waiting for a place to work in.
-    pub(super) waited: Duration,
-    pub(super) sender: mpsc::UnboundedSender<Event>,
-}
-
-impl MotionStream for Forward {
-    fn opened(&self, mut opening: Opening) {
-        opening.timings.queue += self.waited;
-        // The client may have gone: the work is cancelled then.
-        let _ = self.sender.send(Event::Opened(Box::new(opening)));
-    }
-
-    fn frames(&self, motion: Array2<f32>) {
-        let _ = self.sender.send(Event::Frames(motion));
-    }
-}
 
 /// Writes events as one of the two media types.
 #[derive(Clone, Copy)]
@@ -202,7 +174,7 @@ impl Sender {
             };
             Ok((finisher, count, event))
         };
-        let finished = work::blocking(&self.state.metrics, "motion", finish).await;
+        let finished = blocking(&self.state.metrics, "motion", finish).await;
         self.motion += started.elapsed();
         let (finisher, count, event) = finished?;
         self.finisher = Some(finisher);

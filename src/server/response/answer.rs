@@ -1,0 +1,118 @@
+//! Dances as they are written: once for all readers who ask for the same.
+
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+use bytes::Bytes;
+
+use crate::{
+    formats::{BvhUnit, GeneratedMotion, JsonOptions, OutputFormat},
+    server::{
+        blocking,
+        error::ServerError,
+        layers::client::Client,
+        metrics::SharedMetrics,
+        options::RequestOptions,
+        resources::{Reservation, Resources},
+        tracker::Work,
+    },
+};
+
+/// A dance that was written, and the memory that is reserved for it.
+#[derive(Debug)]
+pub(crate) struct Written {
+    bytes: Vec<u8>,
+    _room: Reservation,
+}
+
+impl Written {
+    /// Writes a dance within the answer memory of `client`: room is taken first. `work` is held
+    /// until that has ended, whether or not somebody waits for it.
+    ///
+    /// # Errors
+    /// [`ServerError`] where there is no room; what writing fails with.
+    pub(crate) async fn new(
+        (resources, metrics): (&Resources, &SharedMetrics),
+        client: Client,
+        work: Option<Arc<Work>>,
+        dance: Arc<GeneratedMotion>,
+        options: &RequestOptions,
+        format: OutputFormat,
+    ) -> Result<Arc<Self>, ServerError> {
+        let most = format.most_bytes(&dance, &options.json());
+        let mut room = resources.reserve_response(client, most).await?;
+        let options = options.clone();
+        let write = move || {
+            let mut bytes = options.write(&dance, format)?;
+            bytes.shrink_to_fit();
+            room.shrink_to(bytes.len() as u64);
+            Ok(Arc::new(Self { bytes, _room: room }))
+        };
+        blocking::write(metrics, work, write).await
+    }
+
+    /// All of it, for one more reader.
+    pub(crate) fn bytes(self: &Arc<Self>) -> Bytes {
+        struct Shared(Arc<Written>);
+        impl AsRef<[u8]> for Shared {
+            fn as_ref(&self) -> &[u8] {
+                &self.0.bytes
+            }
+        }
+        Bytes::from_owner(Shared(Arc::clone(self)))
+    }
+}
+
+/// How a dance is written: who asks for the same gets the same.
+type Shape = (OutputFormat, JsonOptions, BvhUnit);
+type Slot = Arc<tokio::sync::Mutex<Weak<Written>>>;
+
+/// What is being written of one dance, or was written and still has readers.
+#[derive(Debug, Default)]
+pub(crate) struct Answers {
+    // Held only to find or to put one; there are as many as there are shapes.
+    slots: Mutex<Vec<(Shape, Slot)>>,
+}
+
+impl Answers {
+    fn slot(&self, shape: Shape) -> Slot {
+        let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, slot)) = slots.iter().find(|(known, _)| *known == shape) {
+            return Arc::clone(slot);
+        }
+        let slot = Slot::default();
+        slots.push((shape, Arc::clone(&slot)));
+        slot
+    }
+
+    /// The dance as asked for. It is written in a task of its own, which has a place to write in
+    /// and the memory for it: a reader who leaves does not free what the writing still needs.
+    ///
+    /// # Errors
+    /// As [`Written::new`]; [`ServerError::QueueFull`] where too much is to be written.
+    pub(crate) async fn get(
+        &self,
+        (resources, metrics): (&Arc<Resources>, &SharedMetrics),
+        client: Client,
+        dance: &Arc<GeneratedMotion>,
+        options: &RequestOptions,
+        format: OutputFormat,
+    ) -> Result<Arc<Written>, ServerError> {
+        let slot = self.slot((format, options.json(), options.bvh_unit()));
+        let mut slot = slot.lock_owned().await;
+        if let Some(written) = slot.upgrade() {
+            return Ok(written);
+        }
+        let (resources, metrics) = (Arc::clone(resources), Arc::clone(metrics));
+        let (dance, options) = (Arc::clone(dance), options.clone());
+        let written = tokio::spawn(async move {
+            let _place = resources.writers.admit(client).await?;
+            let held = (&*resources, &metrics);
+            let written = Written::new(held, client, None, dance, &options, format).await?;
+            *slot = Arc::downgrade(&written);
+            Ok(written)
+        });
+        let failed =
+            |failed: tokio::task::JoinError| Err(ServerError::Internal(failed.to_string()));
+        written.await.unwrap_or_else(failed)
+    }
+}
