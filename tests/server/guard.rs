@@ -10,7 +10,7 @@ use std::{
 use axum::{Router, body::Body, http::Request};
 use bailando::server::{Access, ByteSize, Limits, Seconds};
 
-use crate::{
+use super::{
     client::{
         LONG, app, app_for, eventually, get as ask, post, raw, send, spawn, until_counted, with,
     },

@@ -8,7 +8,7 @@ use std::{
 
 use bailando::server::{Limits, Seconds};
 
-use crate::{
+use super::{
     client::LONG,
     fake::{Fake, LONG_DANCE},
     guard::{figure, finished_job, held_answers},

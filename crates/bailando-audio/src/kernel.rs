@@ -105,8 +105,9 @@ impl Kernel {
         2 * self.reach
     }
 
-    /// Returns what [`Kernel::apply`] gives for several windows at the same phase: one pass over the
-    /// coefficients, which come from far away in the memory. `None` where phases are interpolated.
+    /// Returns what [`Kernel::apply`] gives for several windows at the same phase, with one pass
+    /// over the coefficients: the table is larger than a core's cache. `None` where phases are
+    /// interpolated.
     pub(crate) fn apply_to<const N: usize>(
         &self,
         phase: u64,

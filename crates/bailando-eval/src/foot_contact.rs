@@ -15,8 +15,8 @@ const FRAME: f64 = 1.0 / 30.0;
 /// Published scores are in cm^2 of foot movement a frame, not m^2.
 const SQUARE_CENTIMETRES: f64 = 1e4;
 
-/// Returns the physical foot contact score of poses at 60 frames a second; lower is better. None
-/// for a motion of fewer than three frames at 30 a second, or without any acceleration.
+/// Returns the physical foot contact score of poses at 60 frames a second; lower is better.
+/// None for a motion of fewer than three frames at 30 a second, or without any acceleration.
 ///
 /// Mean over frames of `|a| |left| |right| / max |a|`: `a` is the root's acceleration, of which only
 /// the upward part counts vertically (gravity explains the other); `left` and `right` are how far
