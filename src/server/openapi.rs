@@ -94,7 +94,8 @@ fn song() -> RequestBody {
     };
     RequestBodyBuilder::new()
         .description(Some(
-            "The song: wav, aiff, flac, mp3, ogg, webm (vorbis, opus) or m4a (aac, alac), recognised by its bytes.",
+            "The song: wav, aiff, flac, mp3, ogg, webm (vorbis, opus) or m4a (aac, alac), \
+             recognised by its bytes.",
         ))
         .content("multipart/form-data", content(GenerateForm::name()))
         .content("audio/*", content(AudioFile::name()))

@@ -100,8 +100,8 @@ pub(crate) fn note(parameters: &AudioCodecParameters) -> Option<String> {
     })
 }
 
-/// Returns the configuration of the LC core where a configuration (ISO 14496-3 section 1.6.2.1) says
-/// that the stream is HE-AAC, which is an LC stream at half the rate and additions to it.
+/// Returns the configuration of the LC core where that of the file (ISO 14496-3 section 1.6.2.1)
+/// says that the stream is HE-AAC, which is an LC stream at half the rate and additions to it.
 fn core_of(parameters: &AudioCodecParameters) -> Option<Box<[u8]>> {
     const LC: u64 = 2;
     const SBR: u64 = 5;

@@ -279,7 +279,7 @@ impl<'a> Pass<'a> {
         let short = if sink.is_done() { None } else { self.cut_short(sink) };
         let rates = (!self.further_rates.is_empty()).then(|| {
             format!(
-                "the sample rate changes from {} to {:?} Hz within the file: all of it is resampled",
+                "the sample rate changes from {} to {:?} Hz within the file: all is resampled",
                 sink.rate, self.further_rates
             )
         });

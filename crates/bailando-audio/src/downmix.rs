@@ -28,8 +28,8 @@ impl Downmix {
         Self { only: Some(channel), ..Self::default() }
     }
 
-    /// Returns the loudest channel where the mix lies 30 dB below it: in a song of some channels the
-    /// mean alone costs up to 18 dB, the rest is that they cancel each other.
+    /// Returns the loudest channel where the mix lies 30 dB below it: in a song of many channels
+    /// the mean alone costs up to 18 dB, the rest is that they cancel each other.
     pub(crate) fn cancelled(&self) -> Option<usize> {
         const RATIO: f64 = 1e-3;
         let loudest = self.channels.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));

@@ -3,8 +3,8 @@
 //!
 //! Ogg and WebM: packets say how much the decoder takes off. MP3: delay and padding of the LAME
 //! tag; the padding is taken off only when the stream is as long as its header says, so that files
-//! joined from several or cut short lose nothing. M4A: the edit list or iTunes' tag; it may also let
-//! the sound start late. WAV, AIFF and FLAC have none.
+//! joined from several or cut short lose nothing. M4A: the edit list or iTunes' tag; it may
+//! also let the sound start late. WAV, AIFF and FLAC have none.
 
 use symphonia::core::codecs::audio::well_known::{CODEC_ID_AAC, CODEC_ID_OPUS};
 

@@ -1,5 +1,5 @@
-//! The frames of an MP3 file as packets. Every frame stands for itself, so that channels, sample rate
-//! and bit rate may change; what is no frame is stepped over.
+//! The frames of an MP3 file as packets. Every frame stands for itself, so that channels, sample
+//! rate and bit rate may change; what is no frame is stepped over.
 
 use bytes::Bytes;
 use symphonia::core::{

@@ -1,7 +1,7 @@
-//! What symphonia's reader of movies gets to see: the sound of the file, with tables that cost it no
-//! more than they are long. Its times of samples are looked up from the first entry on, sample by
-//! sample; so long tables of times are replaced by their mean, other tracks are hidden, and tables
-//! that cannot be true are refused before anything is decoded.
+//! What symphonia's reader of movies gets to see: the sound of the file, with tables that cost it
+//! no more than they are long. Its times of samples are looked up from the first entry on, sample
+//! by sample; so long tables of times are replaced by their mean, other tracks are hidden, and
+//! tables that cannot be true are refused before anything is decoded.
 
 use std::ops::Range;
 

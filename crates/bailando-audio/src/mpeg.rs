@@ -57,8 +57,8 @@ impl Header {
 /// Frames in a row that make a stream certain.
 const CERTAIN: usize = 4;
 
-/// Returns whether `bytes` start with frames of one stream: [`CERTAIN`], or at least two up to their
-/// end.
+/// Returns whether `bytes` start with frames of one stream: [`CERTAIN`], or at least two up to
+/// their end.
 fn is_stream(bytes: &[u8]) -> bool {
     let Some(first) = Header::read(bytes).filter(|first| first.length > 0) else { return false };
     let mut at = first.length;

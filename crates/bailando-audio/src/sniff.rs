@@ -8,7 +8,7 @@ use crate::{
     upload::Upload,
 };
 
-/// Returns whether a file that starts with `prefix` is WAV, AIFF or FLAC, which are large by nature;
+/// Returns whether a file that starts with `prefix` is WAV, AIFF or FLAC: large by nature;
 /// ID3v2 tags in front are stepped over. `None`: more bytes are needed.
 ///
 /// ```
@@ -75,7 +75,7 @@ fn of_container(body: &Bytes) -> Option<Result<Upload, AudioError>> {
     })
 }
 
-/// Finds MP3 after the tag that ends at `tag`, after one whose size is wrong, and after other bytes.
+/// Finds MP3 after the tag that ends at `tag`, after one of a wrong size, and after other bytes.
 fn mp3(bytes: &Bytes, tag: usize) -> Option<Upload> {
     /// Bytes that are searched for frames: large pictures fit into a tag of this length.
     const REACH: usize = 8 << 20;

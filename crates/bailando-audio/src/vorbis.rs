@@ -1,5 +1,5 @@
-//! Durations of Vorbis packets (Vorbis I specification, sections 1.3.2 and 4.2.4): the only thing of
-//! a packet that is read outside the decoder.
+//! Durations of Vorbis packets (Vorbis I specification, sections 1.3.2 and 4.2.4): the only thing
+//! of a packet that is read outside the decoder.
 
 /// Sizes of the blocks of a stream.
 #[derive(Debug)]

@@ -14,7 +14,7 @@ pub(crate) enum Media {
 }
 
 impl Media {
-    /// Reads `Content-Type` and `Content-Encoding`. What the audio is is read from its bytes; phones
+    /// Reads `Content-Type` and `Content-Encoding`. The audio's kind is read from its bytes: phones
     /// and browsers call it `video/webm`, `application/x-flac` and much else.
     ///
     /// # Errors
