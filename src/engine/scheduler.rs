@@ -246,8 +246,8 @@ impl Scheduler {
         }
     }
 
-    /// Preempts requests that have had more than `spent` until `need` rows are free, and whether they
-    /// are. With `patient`, nothing is preempted unless that is enough.
+    /// Preempts requests that have had more than `spent` until `need` rows are free, and whether
+    /// they are. With `patient`, nothing is preempted unless that is enough.
     fn preempt_for(&mut self, need: usize, spent: Duration, patient: bool) -> bool {
         let may = |request: &Request| {
             !request.fresh && request.spent > spent && request.sequence.can_be_preempted()

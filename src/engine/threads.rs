@@ -23,8 +23,8 @@ impl<T: Entry> Drop for CloseOnDrop<T> {
 }
 
 /// Starts the threads of the audio frontend, one per core but at least two, and one for each of
-/// `songs`, so that a long one does not keep all others waiting. They end when the returned queue is closed and empty; the last
-/// of them closes the scheduler's.
+/// `songs`, so that a long one does not keep all others waiting. They end when the returned queue
+/// is closed and empty; the last of them closes the scheduler's.
 ///
 /// # Errors
 /// [`EngineError::NoThread`].

@@ -20,6 +20,7 @@ ROWS = {
     "contract": 10,
     "models": 12,
     "api_key": 13,
+    "guard": 15,
 }
 
 

@@ -78,8 +78,8 @@ fn patient_for(time: Duration) -> Limits {
     Limits { answer_idle_timeout: Seconds(time), ..Limits::default() }
 }
 
-/// A stream whose client takes a byte of it, or none, is reset, and nothing is held for it any more,
-/// though its connection lives on.
+/// A stream whose client takes a byte of it, or none, is reset, and nothing is held for it any
+/// more, though its connection lives on.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_that_is_not_taken_is_reset() {
     let fake = Fake::new();

@@ -58,8 +58,8 @@ macro_rules! limits {
 }
 
 limits! {
-    /// Share of every bounded resource that one client may hold: workers, places in the queue, jobs,
-    /// uploads, memory for uploads and answers, connections; clients are distinguished as for
+    /// Share of every bounded resource that one client may hold: workers, places in the queue,
+    /// jobs, uploads, memory for uploads and answers, connections; clients are distinguished as for
     /// --rate-limit. 1 for a single client or for all behind one proxy
     client_share: f64 ["client_share" f64] "BAILANDO_CLIENT_SHARE" = 0.75, fraction;
     /// Requests that are processed at the same time

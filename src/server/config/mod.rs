@@ -63,8 +63,8 @@ pub struct ServerConfig {
     /// several with commas; * for all [default: none]
     #[arg(long, env = "BAILANDO_CORS_ALLOW_ORIGIN", value_delimiter = ',')]
     pub cors_allow_origin: Vec<Origin>,
-    /// Host names that requests may name, without ports; several with commas: a page on another name
-    /// that resolves to this server is refused then. Probes may name any [default: all]
+    /// Host names that requests may name, without ports; several with commas: a page on another
+    /// name that resolves to this server is refused then. Probes may name any [default: all]
     #[arg(long, env = "BAILANDO_ALLOWED_HOST", value_delimiter = ',')]
     pub allowed_host: Vec<String>,
     /// Collector that traces are sent to: OTLP over HTTP, such as http://localhost:4318 [default:

@@ -26,8 +26,8 @@ fn about(status: u16) -> &'static str {
         415 => "The body is no audio that is accepted, or compressed.",
         422 => "The audio cannot be decoded, or is too short or too long.",
         429 => {
-            "Too many requests are waiting, too many jobs are kept, too much is being uploaded, or \
-             this client calls too often: `error_type` says which."
+            "Too many requests are waiting, too many jobs are kept, too much is being uploaded, \
+             this client calls too often or leaves too much unread: `error_type` says which."
         }
         500 => "The server is at fault.",
         _ => {

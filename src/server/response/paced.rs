@@ -134,7 +134,8 @@ struct State {
 }
 
 impl State {
-    /// Whether a period is over, and with too little taken. Begins a new one where there was enough.
+    /// Whether a period is over, and with too little taken. Begins a new one where there was
+    /// enough.
     fn is_too_slow(&mut self, pace: &Pace, now: Instant) -> bool {
         let waited = self.waited + self.since.map_or(Duration::ZERO, |since| now - since);
         if waited < pace.period() {

@@ -1,5 +1,5 @@
-//! The heads of requests over HTTP/2, as far as a connection must see them to know that one does not
-//! come to its end (RFC 9113, sections 4.1 and 6.10).
+//! The heads of requests over HTTP/2, as far as a connection must see them to know that one does
+//! not come to its end (RFC 9113, sections 4.1 and 6.10).
 
 const FRAME_HEAD: usize = 9;
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n";
