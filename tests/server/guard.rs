@@ -180,19 +180,27 @@ fn dribble(server: &Server) -> TcpStream {
 async fn the_slowest_upload_makes_room() {
     let limits = Limits { max_uploads: count(4), ..Limits::default() };
     let server = Server::start(&Fake::new(), limits).await;
-    let slow: Vec<_> = (0..3).map(|_| dribble(&server)).collect();
-    tokio::time::sleep(Duration::from_millis(1_200)).await;
+    let mut slow: Vec<_> = (0..3).map(|_| dribble(&server)).collect();
     // These three are the share of this client.
+    let arrived = async || (figure(&server, "bailando_uploads ").await == 3.0).then_some(());
+    eventually("three uploads have begun", arrived).await;
+    tokio::time::sleep(Duration::from_millis(1_200)).await;
     server.expect(song(b"song"), 200).await;
-    for mut stream in slow {
-        stream.set_read_timeout(Some(SOON)).unwrap();
-        let mut said = [0; 4096];
-        let Ok(length) = stream.read(&mut said) else {
-            continue;
-        };
-        let said = String::from_utf8_lossy(&said[..length]);
-        assert!(said.starts_with("HTTP/1.1 429") && said.contains("upload_displaced"), "{said}");
-        return;
+    let started = Instant::now();
+    while started.elapsed() < LONG {
+        for stream in &mut slow {
+            stream.set_read_timeout(Some(SOON / 10)).unwrap();
+            let mut said = [0; 4096];
+            let Ok(length) = tokio::task::block_in_place(|| stream.read(&mut said)) else {
+                continue;
+            };
+            let said = String::from_utf8_lossy(&said[..length]);
+            assert!(
+                said.starts_with("HTTP/1.1 429") && said.contains("upload_displaced"),
+                "{said}"
+            );
+            return;
+        }
     }
     panic!("none of them was displaced");
 }

@@ -31,7 +31,9 @@ pub(crate) struct Server {
 impl Server {
     pub(crate) async fn start(fake: &Arc<Fake>, limits: Limits) -> Self {
         let engine = Arc::clone(fake) as Arc<dyn Generate>;
-        Self::loading(async { Ok(engine) }, limits).await
+        let server = Self::loading(async { Ok(engine) }, limits).await;
+        server.until_ready_says("HTTP/1.1 200").await;
+        server
     }
 
     async fn loading(
