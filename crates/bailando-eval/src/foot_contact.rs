@@ -18,9 +18,9 @@ const SQUARE_CENTIMETRES: f64 = 1e4;
 /// Returns the physical foot contact score of poses at 60 frames a second; lower is better.
 /// None for a motion of fewer than three frames at 30 a second, or without any acceleration.
 ///
-/// Mean over frames of `|a| |left| |right| / max |a|`: `a` is the root's acceleration, of which only
-/// the upward part counts vertically (gravity explains the other); `left` and `right` are how far
-/// each foot moves on the floor until the next frame, the ankle or the ball, whichever is less.
+/// Mean over frames of `|a| |left| |right| / max |a|`: `a` is the root's acceleration, of which
+/// only the upward part counts vertically (gravity explains the other); `left` and `right` are how
+/// far each foot moves on the floor until the next frame, the ankle or the ball, whichever is less.
 pub(crate) fn physical_foot_contact(poses: &[Pose]) -> Option<f64> {
     let frames: Vec<&Pose> = poses.iter().step_by(STRIDE).collect();
     let moments = frames.windows(3).map(|window| {

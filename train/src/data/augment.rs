@@ -1,5 +1,5 @@
-//! Augmentation: mirror images and start phases. Tempo variants and several songs for one dance come
-//! as pieces.
+//! Augmentation: mirror images and start phases. Tempo variants and several songs for one dance
+//! come as pieces.
 
 use super::{FRAMES_PER_CODE, JOINTS};
 
