@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use bailando_core::dsp::{LANES, bessel_i0, dot, dots};
+use bailando_core::dsp::{LANES, TOGETHER, bessel_i0, dot, dots};
 
 /// Cut-off relative to the lower Nyquist frequency: flat to 0.913 of it, -120 dB from 1.0.
 const CUTOFF: f64 = 0.95685;
@@ -108,11 +108,11 @@ impl Kernel {
     /// Returns what [`Kernel::apply`] gives for several windows at the same phase, with one pass
     /// over the coefficients: the table is larger than a core's cache. `None` where phases are
     /// interpolated.
-    pub(crate) fn apply_to<const N: usize>(
+    pub(crate) fn apply_to(
         &self,
         phase: u64,
-        windows: [&[f32]; N],
-    ) -> Option<[f32; N]> {
+        windows: [&[f32]; TOGETHER],
+    ) -> Option<[f32; TOGETHER]> {
         (self.interpolated == 0).then(|| dots(self.row(phase as usize), windows))
     }
 

@@ -3,6 +3,8 @@
 
 use std::{array, sync::Arc};
 
+use bailando_core::dsp::TOGETHER;
+
 use crate::kernel::{Kernel, planned_kernel};
 
 /// Streaming converter of one mono signal from one integer rate to another.
@@ -121,7 +123,7 @@ impl Resampler {
                 let first = index + turn * period;
                 &inputs[first..first + kernel.taps()]
             });
-            let Some(values) = kernel.apply_to::<TOGETHER>(phase, windows) else {
+            let Some(values) = kernel.apply_to(phase, windows) else {
                 output.truncate(start);
                 return false;
             };
@@ -137,9 +139,6 @@ impl Resampler {
         true
     }
 }
-
-/// Periods of which the outputs are made together.
-const TOGETHER: usize = 4;
 
 /// Converts a whole signal; see [`Resampler`].
 #[must_use]

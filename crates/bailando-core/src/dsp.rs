@@ -41,12 +41,15 @@ pub fn dot(a: &[f32], b: &[f32]) -> f32 {
     )
 }
 
-/// Returns [`dot`] of `a` with each of `N` others, all of at least its length, bit for bit: `a` is
+/// Slices that [`dots`] takes together.
+pub const TOGETHER: usize = 4;
+
+/// Returns [`dot`] of `a` with each of the others, all of at least its length, bit for bit: `a` is
 /// read once for all of them.
 ///
 /// # Panics
 /// If one of `others` is shorter than `a`.
-pub fn dots<const N: usize>(a: &[f32], others: [&[f32]; N]) -> [f32; N] {
+pub fn dots(a: &[f32], others: [&[f32]; TOGETHER]) -> [f32; TOGETHER] {
     vectorised(
         #[inline(always)]
         || dots_inlined(a, others.map(|other| &other[..a.len()])),
@@ -54,14 +57,14 @@ pub fn dots<const N: usize>(a: &[f32], others: [&[f32]; N]) -> [f32; N] {
 }
 
 #[inline(always)]
-fn dots_inlined<const N: usize>(a: &[f32], others: [&[f32]; N]) -> [f32; N] {
+fn dots_inlined(a: &[f32], others: [&[f32]; TOGETHER]) -> [f32; TOGETHER] {
     /// Products side by side here: all sums fit into the registers.
     const SIDE: usize = 8;
     let (a_lanes, a_rest) = a.as_chunks::<LANES>();
     let others = others.map(<[f32]>::as_chunks::<LANES>);
-    let mut sums = [[0.0_f32; LANES]; N];
+    let mut sums = [[0.0_f32; LANES]; TOGETHER];
     for part in 0..LANES / SIDE {
-        let mut parts = [[0.0_f32; SIDE]; N];
+        let mut parts = [[0.0_f32; SIDE]; TOGETHER];
         for (index, a) in a_lanes.iter().enumerate() {
             let a = &a.as_chunks::<SIDE>().0[part];
             for (sums, other) in parts.iter_mut().zip(&others) {
@@ -75,13 +78,13 @@ fn dots_inlined<const N: usize>(a: &[f32], others: [&[f32]; N]) -> [f32; N] {
             sums.as_chunks_mut::<SIDE>().0[part] = parts;
         }
     }
-    let mut totals = [0.0_f32; N];
+    let mut totals = [0.0_f32; TOGETHER];
     for lane in 0..LANES {
         for (total, sums) in totals.iter_mut().zip(&sums) {
             *total += sums[lane];
         }
     }
-    let mut rests = [0.0_f32; N];
+    let mut rests = [0.0_f32; TOGETHER];
     for (index, a) in a_rest.iter().enumerate() {
         for (rest, other) in rests.iter_mut().zip(&others) {
             *rest += a * other.1[index];
@@ -124,7 +127,7 @@ mod tests {
             let direct: f32 = a[..length].iter().zip(&b).map(|(a, b)| a * b).sum();
             assert!((dot(&a[..length], &b) - direct).abs() < 1e-5, "{length}");
             assert_eq!(dot(&a[..length], &b), dot(&b, &a[..length]));
-            let several = [0, 3, 1, 8, 5].map(|start| &b[start..]);
+            let several = [0, 3, 8, 5].map(|start| &b[start..]);
             let together = dots(&a[..length.min(53)], several);
             assert_eq!(together, several.map(|b| dot(&a[..length], b)));
         }
