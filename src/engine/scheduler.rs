@@ -52,7 +52,8 @@ pub(crate) struct Scheduler {
     directory: Arc<ModelDirectory>,
     /// Share the next step. Their rows of the cache lie one after another in this order.
     running: Vec<Request>,
-    /// Wait for rows: new requests, and preempted ones. Who has had the least time is next.
+    /// Wait for rows: new requests, and preempted ones. The one with the least time so far
+    /// is next.
     waiting: VecDeque<Request>,
     /// The time that a new request is taken to have had: as much as who had the least of those
     /// present, so that it neither waits for them nor makes them wait for ever.
@@ -215,7 +216,7 @@ impl Scheduler {
         self.least_spent
     }
 
-    /// Admits the first that waits: who has had the least time, and of those the first who came.
+    /// Admits the waiting request with the least time so far, and of equal ones the oldest.
     /// Where it does not fit, running requests at a segment's start
     /// are preempted if that makes room for it, so that a long song never blocks the others; else
     /// smaller ones that fit are admitted before it, for a while.

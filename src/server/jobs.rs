@@ -194,12 +194,12 @@ impl MemoryStore {
             return Ok(None);
         }
         let candidates = || jobs.values().filter(|job| within || own(job));
-        // Who has its dance misses the job least.
+        // A job whose result was fetched is missed least.
         let fetched = candidates().filter(|job| job.fetched.is_cancelled());
         if let Some(oldest) = fetched.max_by_key(|job| job.done_for()) {
             return Ok(Some(oldest.id));
         }
-        // The next place is free when the oldest result goes, if nobody deletes one.
+        // The next place is free when the oldest result goes, unless a client deletes one before.
         let oldest = candidates().filter_map(|job| job.done_for()).max();
         let wait = oldest.map_or(Duration::from_secs(10), |age| self.ttl.0.saturating_sub(age));
         Err(ServerError::TooManyJobs { most: self.most, retry_after: Seconds(wait) })
@@ -268,7 +268,7 @@ mod tests {
         }
         assert!(store.check_room(one).is_err() && store.put(job_of(one)).is_err());
         store.put(job_of(other)).unwrap();
-        // Who makes room for its own makes room for nobody's.
+        // Room that a client makes for itself is no room for others.
         first.turn(failed());
         first.fetched.cancel();
         store.put(job_of(one)).unwrap();

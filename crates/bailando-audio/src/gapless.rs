@@ -42,7 +42,7 @@ impl Trim {
         }
     }
 
-    /// A stream of which nobody says where its sound starts.
+    /// A stream that does not state where its sound starts.
     fn unknown(name: &str) -> Self {
         let note = format!(
             "the {name} file does not state its encoder delay: the music may start up to 50 ms late"

@@ -243,8 +243,8 @@ fn a_long_sequence_does_not_block_a_short_one() {
     assert_eq!(long.wait().unwrap().codes, Harness::alone(asked(1, 400)).codes);
 }
 
-/// Who has had less of the model's time goes first, rows counted, and two requests of one owner
-/// share what one of another has.
+/// The owner with less of the model's time, rows counted, goes first, and two requests of one
+/// owner share the time that one request of another owner has.
 #[test]
 fn owners_share_the_time_of_the_model() {
     let mut harness = Harness::new(4);

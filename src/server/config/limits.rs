@@ -112,7 +112,7 @@ limits! {
     header_read_timeout: Seconds ["header_read_timeout_s" f64]
         "BAILANDO_HEADER_READ_TIMEOUT" = Seconds::new(10);
     /// Time in seconds in which a client must take its share of a response, as
-    /// --answer-least-rate says; who takes less is given up
+    /// --answer-least-rate says; slower clients are cut off
     answer_idle_timeout: Seconds ["answer_idle_timeout_s" f64]
         "BAILANDO_ANSWER_IDLE_TIMEOUT" = Seconds::new(30);
     /// Bytes a second that a client must take of a response, on average over --answer-idle-timeout

@@ -1,6 +1,7 @@
 //! Who calls: by API key, else by address.
 
 use std::{
+    collections::HashMap,
     hash::{DefaultHasher, Hash, Hasher},
     net::{IpAddr, SocketAddr},
 };
@@ -35,6 +36,15 @@ pub(crate) enum Client {
     Address(IpAddr),
     /// Came without a connection, as in tests.
     Unknown,
+}
+
+/// Returns the client that is named most often; none of none.
+pub(crate) fn most_frequent(clients: impl Iterator<Item = Client>) -> Option<Client> {
+    let mut counts: HashMap<Client, usize> = HashMap::new();
+    for client in clients {
+        *counts.entry(client).or_default() += 1;
+    }
+    counts.into_iter().max_by_key(|&(_, count)| count).map(|(client, _)| client)
 }
 
 impl Client {

@@ -1,5 +1,5 @@
-//! Bodies on their way. Where there is no place for one more, the slowest of who has the most of
-//! them gives way: a body that hardly moves keeps nobody out.
+//! Bodies on their way. Where there is no place for one more, the client with the most of them
+//! loses its slowest: a body that hardly moves keeps nobody out.
 
 use std::{
     collections::HashMap,
@@ -13,7 +13,7 @@ use std::{
 use prometheus_client::metrics::gauge::Gauge;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::layers::client::Client;
+use crate::server::layers::client::{Client, most_frequent};
 
 /// A body that has begun this shortly ago is not called slow.
 const GRACE: Duration = Duration::from_secs(1);
@@ -80,14 +80,12 @@ impl Transfers {
     /// A place for one more body; none where all others are too young to be called slow.
     pub(super) fn begin(self: &Arc<Self>, client: Client) -> Option<Transfer> {
         let mut state = self.state();
-        let of = |client: Client, state: &State| {
-            state.bodies.values().filter(|body| body.client == client).count()
-        };
-        if client != Client::Unknown && of(client, &state) >= self.share {
+        let clients = || state.bodies.values().map(|body| body.client);
+        let own = clients().filter(|&of| of == client).count();
+        if client != Client::Unknown && own >= self.share {
             state.displace(client)?;
         } else if state.bodies.len() >= self.most {
-            let clients = state.bodies.values().map(|body| body.client);
-            let most = clients.max_by_key(|client| of(*client, &state))?;
+            let most = most_frequent(clients())?;
             state.displace(most)?;
         }
         self.gauge.set(state.bodies.len() as i64 + 1);

@@ -1,5 +1,5 @@
-//! The body of a response while it is sent, in small pieces. Who takes too little of it in its time
-//! is given up, and with it everything that is held for it.
+//! The body of a response while it is sent, in small pieces. A client that takes too little of it
+//! in its time is given up, and with it everything that is held for it.
 
 use std::{
     pin::Pin,

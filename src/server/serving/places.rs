@@ -11,7 +11,10 @@ use prometheus_client::metrics::gauge::Gauge;
 use tokio::time::sleep_until;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::{config::Limits, layers::client::Client};
+use crate::server::{
+    config::Limits,
+    layers::client::{Client, most_frequent},
+};
 
 /// Connections beyond all places, for probes only.
 const SPARE: usize = 32;
@@ -70,14 +73,10 @@ impl Places {
     /// all are busy, a spare one.
     pub(super) fn enter(self: &Arc<Self>, client: Client) -> Arc<Place> {
         let mut state = self.state();
-        let of = |client: Client, state: &State| state.regular(Some(client)).count();
-        let full = match of(client, &state) >= self.share {
+        let full = match state.regular(Some(client)).count() >= self.share {
             true => Some(client),
             false if state.regular(None).count() < self.most => None,
-            false => {
-                let clients = state.regular(None).map(|(_, open)| open.client);
-                clients.max_by_key(|client| of(*client, &state))
-            }
+            false => most_frequent(state.regular(None).map(|(_, open)| open.client)),
         };
         let spare = full.is_some_and(|full| !state.displace_idle(full));
         if spare {
