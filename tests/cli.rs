@@ -196,6 +196,46 @@ fn several_songs_go_to_a_folder_and_a_bad_one_does_not_stop_the_rest() {
 }
 
 #[test]
+fn pipes_folders_in_folders_and_contradictions() {
+    let folder = folder();
+    let song = fs::read(project(WAV)).expect("the song");
+    let mut piped = in_project("generate - -o - --format bvh --seed 3 -q");
+    piped.stdin(fs::File::open(project(WAV)).expect("the song"));
+    let (dance, said) = succeeds(piped);
+    assert!(dance.starts_with("HIERARCHY") && said.is_empty(), "{said}");
+    for name in ["songs/a.wav", "songs/deep/er/a.wav", "songs/deep/a.wav", "songs/deep/b.mp3"] {
+        let file = folder.path().join(name);
+        fs::create_dir_all(file.parent().expect("a folder")).expect("a folder");
+        fs::write(file, &song).expect("a song");
+    }
+    let (songs, out) = (path(&folder, "songs"), path(&folder, "out"));
+    succeed(&format!("generate {songs} --out-dir {out} --recursive --format npy"));
+    for name in ["a.npy", "deep/a.npy", "deep/b.npy", "deep/er/a.npy"] {
+        assert!(folder.path().join("out").join(name).is_file(), "{name}");
+    }
+    // Two songs of one name: the second one is named, the third is danced to.
+    let all = format!("{songs}/a.wav {songs}/deep/a.wav {songs}/deep/b.mp3");
+    let (code, said) = fail(&format!("generate {all} --out-dir {out}/flat"));
+    assert_eq!(code, Some(1));
+    assert!(said.contains("deep/a.wav: its result would replace that of"), "{said}");
+    assert!(said.contains("1 of 3 songs"), "{said}");
+    assert!(
+        ["a.bvh", "b.bvh"].iter().all(|name| folder.path().join("out/flat").join(name).is_file())
+    );
+    for (arguments, wanted) in [
+        ("generate - -o -", "needs --format"),
+        ("generate - -o x.bvh --format json", "--format says json"),
+        ("generate - -o x.bvh --offset-s -1", "expected a number from 0"),
+        ("generate - -o x.bvh --max-audio-seconds -1", "expected seconds above 0"),
+        ("features - -o f.csv", "NumPy files, .npy"),
+    ] {
+        let (code, said) = fail(arguments);
+        assert!(code == Some(2) && said.contains(wanted), "{arguments}: {said}");
+    }
+    assert!(succeed("completions bash").contains("_bailando()"));
+}
+
+#[test]
 fn dots_in_a_songs_name_stay_in_the_dances_name() {
     let folder = folder();
     let names = ["01. B ft. C", "01. B ft. D"];

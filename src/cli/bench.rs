@@ -12,6 +12,7 @@ use super::console::{positive_seconds, read_file, say, say_error, write_file};
 /// Nothing else should run meanwhile. benches/baseline/baseline.py measures librosa and PyTorch on
 /// the same machine.
 #[derive(Debug, clap::Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct BenchArgs {
     /// A song of about half a minute
     song: PathBuf,

@@ -9,6 +9,7 @@ use super::console::{say, say_error, write_file};
 
 /// Compare generated motion with recordings: FID, diversity, beat align score and more
 #[derive(Debug, clap::Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct EvaluateArgs {
     /// Folder of generated motions (.npy [frames, 24, 3], .json, .bvh), each named after its song's
     /// piece in the reference

@@ -15,10 +15,11 @@ use super::console::{Usage, positive_seconds, read_file, say, say_error};
 
 /// Write a song's music features as a NumPy file
 #[derive(Debug, clap::Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct FeaturesArgs {
     /// The song: wav, aiff, flac, mp3, ogg, webm or m4a. A wav already at the rate is not resampled
     audio: PathBuf,
-    /// The file to write: float32 [rows, 438], and two more columns per count period
+    /// The file to write, .npy: float32 [rows, 438], and two more columns per count period
     #[arg(short, long, value_name = "OUT.npy")]
     output: PathBuf,
     /// Write the columns that this model was trained with, for `bailando generate --features`:
@@ -101,6 +102,11 @@ impl FeaturesArgs {
 }
 
 pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
+    let is_npy = args.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy"));
+    if !is_npy {
+        let output = args.output.display();
+        return Err(Usage(format!("{output}: features are written as NumPy files, .npy")).into());
+    }
     let Columns { rate, profile, count_periods } = args.columns()?;
     let name = || args.audio.display().to_string();
     let song = read_file(&args.audio)?;

@@ -1,7 +1,6 @@
 //! `bailando generate`: the server's work without HTTP.
 
 use std::{
-    fs,
     num::NonZeroUsize,
     path::{Path, PathBuf},
     sync::Arc,
@@ -21,7 +20,7 @@ use bailando::{
 use ndarray::Array2;
 
 use super::{
-    console::{Usage, positive_seconds, say, say_error},
+    console::{STANDARD, Talk, Usage, detail, note, positive_seconds, read_file, say, say_error},
     inputs::audio_files,
     output::{FileFormat, OutputArgs, check_folder_of, write_positions},
     progress::Bar,
@@ -29,10 +28,14 @@ use super::{
 
 /// Make dances from audio files, or codes and positions from feature rows
 #[derive(Debug, clap::Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct GenerateArgs {
-    /// Songs (wav, aiff, flac, mp3, ogg, webm, m4a) or folders of them
+    /// Songs (wav, aiff, flac, mp3, ogg, webm, m4a), folders of them, or `-` for standard input
     #[arg(required_unless_present = "features", conflicts_with = "features")]
     audio: Vec<PathBuf>,
+    /// Look for songs in sub-folders too; --out-dir gets the same sub-folders
+    #[arg(long, conflicts_with = "features")]
+    recursive: bool,
     #[command(flatten)]
     output: OutputArgs,
     #[command(flatten)]
@@ -100,27 +103,27 @@ impl GenerateArgs {
 
 /// Tries every song; fails at the end when one did not work.
 fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
-    let inputs = audio_files(&args.audio)?;
+    let inputs = audio_files(&args.audio, args.recursive)?;
     let targets = args.output.targets(&inputs)?;
     let engine = args.open()?;
     engine.check(&args.options.generation(OutputFormat::Bvh))?;
-    let mut first_failure = None;
     let mut failures = 0;
-    for (input, (target, format)) in inputs.iter().zip(&targets) {
-        if let Err(error) = one_song(args, &engine, input, target, *format) {
-            let error = error.context(input.display().to_string());
+    let songs = inputs.len();
+    for (input, target) in inputs.iter().zip(targets) {
+        let danced = target.map_err(anyhow::Error::from);
+        let danced = danced
+            .and_then(|(target, format)| one_song(args, &engine, &input.path, &target, format));
+        if let Err(error) = danced {
+            let error = error.context(input.path.display().to_string());
             failures += 1;
-            match inputs.len() {
+            match songs {
                 1 => return Err(error),
                 _ => say_error(&format!("error: {error:#}")),
             }
-            first_failure.get_or_insert(error);
         }
     }
-    match first_failure {
-        None => Ok(()),
-        Some(_) => anyhow::bail!("{failures} of {} songs could not be danced to", inputs.len()),
-    }
+    anyhow::ensure!(failures == 0, "{failures} of {songs} songs could not be danced to");
+    Ok(())
 }
 
 fn one_song(
@@ -131,7 +134,7 @@ fn one_song(
     format: FileFormat,
 ) -> anyhow::Result<()> {
     let started = Instant::now();
-    let audio = fs::read(input)?;
+    let audio = read_file(input)?;
     let options = args.options.generation(match format {
         FileFormat::Json => OutputFormat::Json,
         FileFormat::Bvh | FileFormat::Npy => OutputFormat::Bvh,
@@ -139,9 +142,11 @@ fn one_song(
     let bar = Arc::new(Bar::new(&input.display().to_string()));
     let request = GenerationRequest::audio(audio, options).with_progress(Arc::clone(&bar) as _);
     let output = engine.generate(request)?;
+    let timings = output.timings;
     let dance = output.into_motion(engine.manifest());
     drop(bar);
     args.output.write(&dance, target, format, &args.options)?;
+    detail(&format!("milliseconds: {}", serde_json::to_string(&timings)?));
     report(&dance, target, started);
     Ok(())
 }
@@ -150,7 +155,9 @@ fn report(dance: &GeneratedMotion, target: &Path, started: Instant) {
     for warning in &dance.warnings {
         say_error(&format!("warning: {warning}"));
     }
-    say(&format!(
+    // Standard output carries the dance itself.
+    let tell = if target.as_os_str() == STANDARD { note } else { say_unless_quiet };
+    tell(&format!(
         "{}: {} frames at {} fps, seed {}, in {:.2} s",
         target.display(),
         dance.animation.root.len(),
@@ -158,6 +165,12 @@ fn report(dance: &GeneratedMotion, target: &Path, started: Instant) {
         dance.seed,
         started.elapsed().as_secs_f64()
     ));
+}
+
+fn say_unless_quiet(line: &str) {
+    if !Talk::is_quiet() {
+        say(line);
+    }
 }
 
 fn from_rows(args: &GenerateArgs, features: &Path) -> anyhow::Result<()> {
@@ -209,7 +222,7 @@ fn with_columns_of(
 }
 
 fn read_rows(path: &Path) -> anyhow::Result<Array2<f32>> {
-    let bytes = fs::read(path).with_context(|| path.display().to_string())?;
+    let bytes = read_file(path)?;
     read_array(&bytes).with_context(|| format!("{}: not a matrix of float32", path.display()))
 }
 

@@ -14,38 +14,55 @@ const EXTENSIONS: [&str; 14] = [
     "wav", "aif", "aiff", "aifc", "flac", "mp3", "ogg", "oga", "opus", "webm", "mka", "m4a", "mp4",
     "mov",
 ];
+/// Folders within folders that are looked at: more are a circle of links.
+const DEEPEST: usize = 32;
 
-/// Lists the files of `inputs`; a folder stands for the audio files directly inside it, by name.
-pub(super) fn audio_files(inputs: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+/// An audio file, and the folder below the given one in which it was found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Input {
+    pub(super) path: PathBuf,
+    pub(super) below: PathBuf,
+}
+
+/// Lists the files of `inputs`; a folder stands for the audio files inside it, by name: those
+/// directly inside it, or those of its sub-folders too if `recursive`.
+pub(super) fn audio_files(inputs: &[PathBuf], recursive: bool) -> anyhow::Result<Vec<Input>> {
     let mut files = Vec::new();
     for input in inputs {
         if !input.is_dir() {
-            files.push(input.clone());
+            files.push(Input { path: input.clone(), below: PathBuf::new() });
             continue;
         }
-        let found = folder(input)?;
-        if found.is_empty() {
+        let before = files.len();
+        let depth = if recursive { DEEPEST } else { 0 };
+        list(input, Path::new(""), depth, &mut files)?;
+        if files.len() == before {
             let accepted = EXTENSIONS.join(", ");
-            let problem = format!("{} holds no audio file ({accepted})", input.display());
+            let deeper = if recursive { "" } else { "; sub-folders need --recursive" };
+            let folder = input.display();
+            let problem = format!("{folder} holds no audio file ({accepted}){deeper}");
             return Err(Usage(problem).into());
         }
-        files.extend(found);
     }
     Ok(files)
 }
 
-fn folder(path: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let is_audio = |file: &PathBuf| {
-        let extension = file.extension().and_then(|e| e.to_str());
-        let known = |e: &str| EXTENSIONS.contains(&e.to_ascii_lowercase().as_str());
-        file.is_file() && extension.is_some_and(known)
-    };
-    let files = fs::read_dir(path).and_then(|entries| {
-        let files = entries.map(|entry| Ok(entry?.path()));
-        files.collect::<io::Result<Vec<PathBuf>>>()
+fn list(folder: &Path, below: &Path, depth: usize, files: &mut Vec<Input>) -> anyhow::Result<()> {
+    let entries = fs::read_dir(folder).and_then(|entries| {
+        let paths = entries.map(|entry| Ok(entry?.path()));
+        paths.collect::<io::Result<Vec<PathBuf>>>()
     });
-    let mut files = files.with_context(|| path.display().to_string())?;
-    files.retain(is_audio);
-    files.sort();
-    Ok(files)
+    let mut entries = entries.with_context(|| folder.display().to_string())?;
+    entries.sort();
+    let inputs = entries.iter().filter(|path| path.is_file() && is_audio(path));
+    files.extend(inputs.map(|path| Input { path: path.clone(), below: below.to_owned() }));
+    for path in entries.iter().filter(|path| depth > 0 && path.is_dir()) {
+        list(path, &below.join(path.file_name().unwrap_or_default()), depth - 1, files)?;
+    }
+    Ok(())
+}
+
+fn is_audio(file: &Path) -> bool {
+    let extension = file.extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|e| EXTENSIONS.contains(&e.to_ascii_lowercase().as_str()))
 }

@@ -15,8 +15,9 @@ mod serve;
 use std::process::ExitCode;
 
 use bailando::{engine::EngineError, evaluation::EvaluationError};
-use clap::{Parser, Subcommand};
-use console::{Usage, say_error};
+use clap::{CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
+use console::{Talk, Usage, say_error};
 
 /// Music in, dance out: 3-D dance for a song.
 #[derive(Debug, Parser)]
@@ -24,6 +25,8 @@ use console::{Usage, say_error};
 struct Cli {
     #[command(subcommand)]
     command: Command,
+    #[command(flatten)]
+    talk: Talk,
 }
 
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 failed, 2 wrong use of the command line.";
@@ -44,11 +47,18 @@ enum Command {
     Bench(bench::BenchArgs),
     /// Ask a running server whether it is alive; for container probes
     Healthcheck(healthcheck::HealthcheckArgs),
+    /// Write the script that completes this command line in a shell
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
 }
 
 /// Parses the command line, runs the command and returns its exit code.
 pub(crate) fn run() -> ExitCode {
-    let result = match Cli::parse().command {
+    let Cli { command, talk } = Cli::parse();
+    talk.hold();
+    let result = match command {
         Command::Serve(args) => serve::run(&args),
         Command::Generate(args) => generate::run(&args),
         Command::Features(args) => features::run(&args),
@@ -56,6 +66,11 @@ pub(crate) fn run() -> ExitCode {
         Command::Codebook(args) => codebook::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Healthcheck(args) => healthcheck::run(&args),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "bailando", &mut script);
+            console::write_file(console::STANDARD.as_ref(), script)
+        }
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,6 +1,7 @@
 //! Files and formats of results.
 
 use std::{
+    collections::HashMap,
     fs,
     path::{Path, PathBuf},
 };
@@ -12,21 +13,26 @@ use bailando::{
     options::RequestOptions,
 };
 use clap::ValueEnum;
+use ndarray_npy::WriteNpyExt;
 
-use super::console::{Usage, write_file};
+use super::{
+    console::{STANDARD, Usage, write_file},
+    inputs::Input,
+};
 
 /// How results are written.
 #[derive(Debug, clap::Args)]
 pub(super) struct OutputArgs {
-    /// The file to write; its extension is the format: json, bvh or npy (positions alone)
+    /// The file to write; its extension is the format: json, bvh or npy (positions alone). `-` is
+    /// standard output, in --format
     #[arg(short, long, value_name = "OUT.{json,bvh,npy}", conflicts_with = "out_dir")]
     output: Option<PathBuf>,
     /// Folder for the results of several songs, each named after its song
     #[arg(long, value_name = "DIR")]
     out_dir: Option<PathBuf>,
-    /// Format of the files in --out-dir
-    #[arg(long, value_enum, default_value = "bvh", requires = "out_dir")]
-    format: FileFormat,
+    /// Format of the files in --out-dir [default: bvh], or of standard output
+    #[arg(long, value_enum)]
+    format: Option<FileFormat>,
     /// Add local rotations and the root's path to JSON
     #[arg(long)]
     include_rotations: bool,
@@ -59,15 +65,14 @@ impl FileFormat {
     }
 }
 
+/// Where the result of a song goes, or why it cannot.
+pub(super) type Target = Result<(PathBuf, FileFormat), Usage>;
+
 impl OutputArgs {
     /// Chooses one output per input, before any work is done.
-    pub(super) fn targets(&self, inputs: &[PathBuf]) -> anyhow::Result<Vec<(PathBuf, FileFormat)>> {
+    pub(super) fn targets(&self, inputs: &[Input]) -> anyhow::Result<Vec<Target>> {
         match (&self.output, &self.out_dir, inputs) {
-            (Some(output), None, [_]) => {
-                let format = FileFormat::of(output)?;
-                check_folder_of(output)?;
-                Ok(vec![(output.clone(), format)])
-            }
+            (Some(output), None, [_]) => Ok(vec![Ok((output.clone(), self.format_of(output)?))]),
             (Some(_), None, _) => {
                 Err(Usage("several songs need --out-dir instead of --output".into()).into())
             }
@@ -78,24 +83,50 @@ impl OutputArgs {
         }
     }
 
-    fn targets_in(
-        &self,
-        folder: &Path,
-        inputs: &[PathBuf],
-    ) -> anyhow::Result<Vec<(PathBuf, FileFormat)>> {
-        fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-        let mut targets: Vec<(PathBuf, FileFormat)> = Vec::new();
-        for input in inputs {
+    /// The format of the one file to write.
+    fn format_of(&self, output: &Path) -> Result<FileFormat, Usage> {
+        if output.as_os_str() == STANDARD {
+            let problem = "--output - needs --format: json, bvh or npy";
+            return self.format.ok_or_else(|| Usage(problem.into()));
+        }
+        let named = FileFormat::of(output)?;
+        check_folder_of(output)?;
+        match self.format {
+            Some(asked) if asked != named => Err(Usage(format!(
+                "{} would be written as {}, and --format says {}: leave one of them out",
+                output.display(),
+                named.extension(),
+                asked.extension()
+            ))),
+            _ => Ok(named),
+        }
+    }
+
+    /// One file for each song. Of two that would be written to one file, the first has it.
+    fn targets_in(&self, folder: &Path, inputs: &[Input]) -> anyhow::Result<Vec<Target>> {
+        let format = self.format.unwrap_or(FileFormat::Bvh);
+        let mut songs: HashMap<PathBuf, &Path> = HashMap::new();
+        let mut targets = Vec::with_capacity(inputs.len());
+        for Input { path, below } in inputs {
             // Appended, not `with_extension`: song names hold dots of their own.
-            let mut name = input.file_stem().unwrap_or_default().to_os_string();
+            let mut name = match path.as_os_str() == STANDARD {
+                true => "stdin".into(),
+                false => path.file_stem().unwrap_or_default().to_os_string(),
+            };
             name.push(".");
-            name.push(self.format.extension());
-            let target = folder.join(name);
-            if targets.iter().any(|(other, _)| *other == target) {
-                let name = target.display();
-                return Err(Usage(format!("two songs would be written to {name}")).into());
-            }
-            targets.push((target, self.format));
+            name.push(format.extension());
+            let place = folder.join(below);
+            fs::create_dir_all(&place).with_context(|| place.display().to_string())?;
+            let target = place.join(name);
+            targets.push(match songs.get(&target) {
+                None => Ok((target.clone(), format)),
+                Some(other) => Err(Usage(format!(
+                    "its result would replace that of {}, {}: rename one of the songs",
+                    other.display(),
+                    target.display()
+                ))),
+            });
+            songs.entry(target).or_insert(path);
         }
         Ok(targets)
     }
@@ -131,5 +162,7 @@ pub(super) fn check_folder_of(file: &Path) -> Result<(), Usage> {
 
 /// Writes positions as float32 [frames, joints, 3].
 pub(super) fn write_positions(path: &Path, positions: &Positions) -> anyhow::Result<()> {
-    ndarray_npy::write_npy(path, positions).with_context(|| path.display().to_string())
+    let mut bytes = Vec::new();
+    positions.write_npy(&mut bytes).with_context(|| path.display().to_string())?;
+    write_file(path, bytes)
 }

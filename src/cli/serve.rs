@@ -7,6 +7,7 @@ use super::console::Usage;
 
 /// Run the HTTP server
 #[derive(Debug, clap::Args)]
+#[command(allow_negative_numbers = true)]
 pub(super) struct ServeArgs {
     #[command(flatten)]
     config: ServerConfig,

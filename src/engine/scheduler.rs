@@ -28,6 +28,11 @@ mod tests;
 /// rows are kept free for it.
 const MOST_PASSED_OVER: usize = 32;
 
+/// A request that is ahead of another by more of the model's time rests, from the end of a segment
+/// on, until that one has caught up: as much as half a minute of dance takes by itself, so that only
+/// long or wide requests rest, and short ones beside them are not slowed down by their rows.
+const MOST_AHEAD: Duration = Duration::from_millis(300);
+
 /// A conditioned request on its way to the scheduler.
 pub(crate) struct ScheduledRequest {
     pub(crate) sequence: SequenceRequest,
@@ -88,6 +93,11 @@ struct Request {
 }
 
 impl Request {
+    /// Whether it has had so much more than `least` that it rests, given how many each owner has.
+    fn is_ahead(&self, least: Duration, owned: &HashMap<u64, u32>) -> bool {
+        self.spent > least + MOST_AHEAD * owned[&self.owner]
+    }
+
     fn next_chunk(&mut self) -> Option<ChunkTask> {
         let chunk = self.sequence.next_chunk()?;
         Some(ChunkTask {
@@ -168,6 +178,7 @@ impl Scheduler {
     /// One step of every running request.
     pub(crate) fn step(&mut self) {
         self.drop_unwanted();
+        self.rest();
         self.admit();
         self.prefill();
         if self.running.is_empty() {
@@ -216,14 +227,29 @@ impl Scheduler {
         self.least_spent
     }
 
+    /// Stops running requests at a segment's start that are too far ahead of another one.
+    fn rest(&mut self) {
+        let owned = self.owned();
+        let limit = self.least_spent();
+        let rests = |request: &Request| {
+            let resting = !request.fresh && request.sequence.can_be_preempted();
+            resting && request.is_ahead(limit, &owned)
+        };
+        while let Some(place) = self.running.iter().position(rests) {
+            self.put_back(place);
+        }
+    }
+
     /// Admits the waiting request with the least time so far, and of equal ones the oldest.
     /// Where it does not fit, running requests at a segment's start
     /// are preempted if that makes room for it, so that a long song never blocks the others; else
     /// smaller ones that fit are admitted before it, for a while.
     fn admit(&mut self) {
+        let (least, owned) = (self.least_spent(), self.owned());
+        let rests = |request: &Request| request.is_ahead(least, &owned);
         loop {
             self.waiting.make_contiguous().sort_by_key(|request| request.spent);
-            let Some(first) = self.waiting.front() else {
+            let Some(first) = self.waiting.front().filter(|first| !rests(first)) else {
                 break;
             };
             let (need, spent) = (first.sequence.rows(), first.spent);
@@ -233,7 +259,7 @@ impl Scheduler {
             }
             self.start(0);
         }
-        let Some(first) = self.waiting.front_mut() else {
+        let Some(first) = self.waiting.front_mut().filter(|first| !rests(first)) else {
             return;
         };
         first.passed_over += 1;
@@ -241,7 +267,8 @@ impl Scheduler {
             return;
         }
         let mut free = self.free_rows();
-        while let Some(place) = self.waiting.iter().position(|one| one.sequence.rows() <= free) {
+        let fits = |one: &Request, free| one.sequence.rows() <= free && !rests(one);
+        while let Some(place) = self.waiting.iter().position(|one| fits(one, free)) {
             self.start(place);
             free = self.free_rows();
         }
@@ -263,10 +290,15 @@ impl Scheduler {
             let Some((place, _)) = candidates.max_by_key(|(_, request)| request.spent) else {
                 return false;
             };
-            let request = self.take_out(place);
-            self.waiting.push_back(Request { fresh: true, passed_over: 0, ..request });
+            self.put_back(place);
         }
         true
+    }
+
+    /// Lets a running request wait again.
+    fn put_back(&mut self, place: usize) {
+        let request = self.take_out(place);
+        self.waiting.push_back(Request { fresh: true, passed_over: 0, ..request });
     }
 
     /// Gives a waiting request its rows, the last ones.
@@ -311,15 +343,21 @@ impl Scheduler {
     /// Counts the time of a step of `rows` as that of the requests in it, each for its rows and for
     /// what it filled the cache with before.
     fn charge(&mut self, time: Duration, rows: usize) {
-        let mut owned: HashMap<u64, u32> = HashMap::new();
-        for request in self.running.iter().chain(&self.waiting) {
-            *owned.entry(request.owner).or_default() += 1;
-        }
+        let owned = self.owned();
         for request in &mut self.running {
             let own = time.mul_f64(request.sequence.rows() as f64 / rows.max(1) as f64);
             let own = own + std::mem::take(&mut request.prefilled);
-            request.spent += own * owned.get(&request.owner).copied().unwrap_or(1);
+            request.spent += own * owned[&request.owner];
         }
+    }
+
+    /// The number of requests that each owner has at once.
+    fn owned(&self) -> HashMap<u64, u32> {
+        let mut owned = HashMap::new();
+        for request in self.running.iter().chain(&self.waiting) {
+            *owned.entry(request.owner).or_default() += 1;
+        }
+        owned
     }
 
     /// Does `work` for every running request, given its first row. One that fails, or panics,

@@ -33,7 +33,7 @@ impl Accepts {
             }
             Self::Number(most) => number().is_some_and(|value| (0.0..=most).contains(&value)),
             Self::PositiveNumber => number().is_some_and(|value| value > 0.0),
-            Self::Boolean => text.parse::<bool>().is_ok(),
+            Self::Boolean => boolean(text).is_some(),
             Self::Tail => text.parse::<Continuation>().is_ok(),
         }
     }
@@ -61,6 +61,15 @@ impl Accepts {
             Self::Tail => of(Type::String).pattern(Some("^[A-Za-z0-9_-]{28,256}$")),
         }
         .build()
+    }
+}
+
+/// Reads `true` or `false`, and `True` or `False` as Python's clients write them.
+pub(super) fn boolean(text: &str) -> Option<bool> {
+    match text {
+        "true" | "True" => Some(true),
+        "false" | "False" => Some(false),
+        _ => None,
     }
 }
 

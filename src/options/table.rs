@@ -1,7 +1,7 @@
 //! The one list of all options: the query, the form, the command line, `GET /info` and the OpenAPI
 //! document are all made of it.
 
-use super::accepts::Accepts;
+use super::accepts::{Accepts, boolean};
 use crate::{
     engine::{GenerationOptions, MAX_CANDIDATES, MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
     formats::{BvhUnit, Continuation, Encoding, OutputFormat},
@@ -49,7 +49,13 @@ macro_rules! from_text {
     };
 }
 
-from_text! { bool f32 f64 u32 u64 usize BvhUnit Encoding OutputFormat Continuation }
+from_text! { f32 f64 u32 u64 usize BvhUnit Encoding OutputFormat Continuation }
+
+impl FromText for bool {
+    fn from_text(text: &str) -> Option<Self> {
+        boolean(text)
+    }
+}
 
 impl FromText for WindowKind {
     fn from_text(text: &str) -> Option<Self> {

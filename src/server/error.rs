@@ -145,6 +145,8 @@ errors! {
         BAD_REQUEST "missing_audio" MissingAudio
             => "no audio was sent: send a file as part `file` of multipart/form-data, or as the \
                 body itself with content type audio/*";
+        BAD_REQUEST "missing_audio" EmptyAudio
+            => "the file of part `file` is empty: 0 bytes arrived, so send the audio itself";
         BAD_REQUEST "upload_broken" UploadBroken => "the upload broke off before its end";
         BAD_REQUEST "wrong_host" Host
             => "the request must name one host (RFC 9112, section 3.2)";

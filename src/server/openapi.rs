@@ -65,6 +65,7 @@ pub(crate) fn keyed_routes() -> OpenApiRouter<SharedState> {
         .routes(routes!(jobs::create))
         .routes(routes!(jobs::status, jobs::delete))
         .routes(routes!(jobs::result))
+        .routes(routes!(jobs::events::events))
         .routes(routes!(codes::codebooks))
         .routes(routes!(codes::pose));
     for path in router.get_openapi_mut().paths.paths.values_mut() {

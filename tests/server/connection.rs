@@ -50,6 +50,41 @@ async fn heads_that_do_not_come_in_time_are_dropped() {
     server.expect(post(b"song"), 200).await;
 }
 
+/// A connection between two requests waits longer than a head that has begun.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_idle_connection_is_kept_alive_and_a_slow_head_is_not() {
+    let server = Server::start(&Fake::new(), impatient()).await;
+    tokio::task::block_in_place(|| {
+        let mut stream = TcpStream::connect(server.address).unwrap();
+        stream.set_read_timeout(Some(LONG)).unwrap();
+        let mut ask = || {
+            stream.write_all(b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n").unwrap();
+            let mut answer = [0; 12];
+            stream.read_exact(&mut answer).unwrap();
+            assert_eq!(&answer, b"HTTP/1.1 200");
+            while !answer.ends_with(b"}") {
+                let mut byte = [0];
+                stream.read_exact(&mut byte).unwrap();
+                answer.rotate_left(1);
+                answer[11] = byte[0];
+            }
+        };
+        ask();
+        std::thread::sleep(SOON * 4);
+        ask();
+        stream.write_all(b"GET /health HTTP/1.1\r\nHo").unwrap();
+        let started = Instant::now();
+        let _ = stream.read_to_end(&mut Vec::new());
+        assert!(started.elapsed() >= SOON / 2 && started.elapsed() < LONG / 2);
+    });
+    let closing = Limits { connection_idle_timeout: Seconds(SOON), ..Limits::default() };
+    let server = Server::start(&Fake::new(), closing).await;
+    tokio::task::block_in_place(|| {
+        let time = dropped_after(&server, vec![b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n"]);
+        assert!(time >= SOON && time < LONG / 2, "{time:?}");
+    });
+}
+
 /// The preface of HTTP/2 with prior knowledge is answered with settings, which say how much is
 /// taken at once.
 #[tokio::test(flavor = "multi_thread")]

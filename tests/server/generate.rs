@@ -9,7 +9,7 @@ use axum::{
 use bailando::server::Limits;
 
 use crate::server::{
-    client::{Answer, app, form, raw, refuse, send, succeed, with},
+    client::{Answer, app, form, post, raw, refuse, send, succeed, with},
     fake::{Fake, PANIC},
 };
 
@@ -170,10 +170,7 @@ async fn bodies_that_hold_no_audio_are_refused() {
         ("multipart/form-data; boundary=x", ""),
         ("multipart/form-data; boundary=x", "no boundary at all"),
         ("multipart/form-data; boundary=x", "--x\r\n"),
-        (
-            "multipart/form-data; boundary=x",
-            "--x\r\nContent-Disposition: form-data; name=\"file\"\r\n\r\nhalf",
-        ),
+        ("multipart/form-data; boundary=x", "--x\r\nContent-Disposition: form-data; na"),
     ] {
         refuse(&app, broken(kind, body), 400, "invalid_multipart").await;
     }
@@ -183,6 +180,50 @@ async fn bodies_that_hold_no_audio_are_refused() {
         with(raw("", "song"), "content-encoding", "gzip"),
     ] {
         refuse(&app, request, 415, "unsupported_media_type").await;
+    }
+}
+
+/// What HTTP clients of the field get wrong without meaning anything else.
+#[tokio::test]
+async fn forms_with_small_mistakes_are_taken_or_told_what_is_wrong() {
+    const HEAD: &str = "--x\r\nContent-Disposition: form-data; name=\"file\"\r\n\r\nsong";
+    let fake = Fake::new();
+    let app = app(&fake, &Limits::default());
+    let send_form = |kind: &str, body: String| with(raw("", body), "content-type", kind);
+    for kind in ["multipart/form-data ; boundary=x ", "multipart/form-data; boundary=\"x\" ; a=b"] {
+        succeed(&app, send_form(kind, format!("{HEAD}\r\n--x--\r\n"))).await;
+        // The last boundary is missing.
+        succeed(&app, send_form(kind, HEAD.to_owned())).await;
+    }
+    assert_eq!(fake.generations.load(Ordering::SeqCst), 4);
+    for (kind, body, wanted) in [
+        ("multipart/form-data", HEAD.to_owned(), "names no boundary"),
+        ("multipart/form-data; boundary=x", HEAD.replace("\r\n", "\n"), "end them with CR LF"),
+        (
+            "multipart/form-data; boundary=x",
+            HEAD.replace("song", "\r\n--x--"),
+            "file",
+        ),
+    ] {
+        let error_type = if wanted == "file" { "missing_audio" } else { "invalid_multipart" };
+        let said = refuse(&app, send_form(kind, body), 400, error_type).await;
+        assert!(said.contains(wanted), "{said}");
+    }
+    succeed(&app, raw("root_motion=False&redo=True", "song")).await;
+}
+
+#[tokio::test]
+async fn responses_are_compressed_for_who_asks_and_streams_are_not() {
+    let app = app(&Fake::new(), &Limits::default());
+    let document = || Request::get("/api-doc/openapi.json").body(Body::empty()).unwrap();
+    let plain = send(&app, document()).await;
+    assert!(!plain.headers.contains_key("content-encoding"));
+    for (encoding, magic) in [("gzip", &[0x1f, 0x8b][..]), ("zstd", &[0x28, 0xb5]), ("br", &[])] {
+        let answer = send(&app, with(document(), "accept-encoding", encoding)).await;
+        assert_eq!(answer.header("content-encoding"), encoding);
+        assert!(answer.body.starts_with(magic) && answer.body.len() < plain.body.len() / 2);
+        let stream = with(post("/generate/stream", "", "song"), "accept-encoding", encoding);
+        assert!(!send(&app, stream).await.headers.contains_key("content-encoding"));
     }
 }
 

@@ -75,6 +75,33 @@ async fn a_job_is_ordered_asked_about_fetched_and_deleted() {
     get(&app, "/jobs/no-id").await.expect_error(404, "no_such_job");
 }
 
+/// As a browser's `EventSource` follows it.
+#[tokio::test]
+async fn a_job_is_followed_to_its_end() {
+    let fake = Fake::new();
+    let app = app(&fake, &Limits::default());
+    let path = order(&app, "", BLOCK).await;
+    fake.wait_started(1).await;
+    let following = tokio::spawn({
+        let (app, path) = (app.clone(), path.clone());
+        async move { get(&app, &format!("{path}/events")).await }
+    });
+    fake.release();
+    let events = following.await.unwrap();
+    assert_eq!(events.header("content-type"), "text/event-stream");
+    assert_eq!(events.header("x-accel-buffering"), "no");
+    assert!(events.header("cache-control").contains("no-transform"));
+    let text = String::from_utf8(events.body).unwrap();
+    let names: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("event: ")).collect();
+    let (last, before) = names.split_last().unwrap();
+    assert!(*last == "done" && before.iter().all(|name| *name == "progress"), "{text}");
+    assert!(text.contains("\nid: end\ndata: {") && text.contains("\"state\":\"done\""), "{text}");
+    let mut again = Request::get(format!("{path}/events")).body(Body::empty()).unwrap();
+    again.headers_mut().insert("last-event-id", "end".parse().unwrap());
+    assert_eq!(send(&app, again).await.status, StatusCode::NO_CONTENT);
+    get(&app, "/jobs/no-id/events").await.expect_error(404, "no_such_job");
+}
+
 /// The option wins, then what the header prefers, then what was ordered.
 #[tokio::test]
 async fn a_result_comes_as_it_is_asked_for() {

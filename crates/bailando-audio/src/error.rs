@@ -36,7 +36,10 @@ pub enum AudioError {
         reason: String,
     },
     /// Less audio than the shortest accepted.
-    #[error("the audio is {seconds:.3} s long; at least {min_seconds} s are needed")]
+    #[error(
+        "the audio is {seconds:.3} s long; at least {min_seconds} s are needed (the setting \
+         --min-audio-seconds)"
+    )]
     TooShort {
         /// Seconds that were left to use, after the range was applied.
         seconds: f64,
@@ -45,8 +48,8 @@ pub enum AudioError {
     },
     /// More audio than the longest accepted.
     #[error(
-        "the audio is at least {seconds:.1} s long; at most {max_seconds} s are accepted \
-         (counted from the start of the file to the end of the part used)"
+        "the audio goes on after {max_seconds} s, the longest that is accepted (counted from the \
+         start of the file to the end of the part used; the setting --max-audio-seconds)"
     )]
     TooLong {
         /// Seconds known when decoding was given up: a lower bound of the real length.

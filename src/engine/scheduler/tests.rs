@@ -278,6 +278,29 @@ fn owners_share_the_time_of_the_model() {
     assert!((0.45..0.55).contains(&share), "{share}");
 }
 
+/// A wide request that is far ahead of a short one sits out until that has caught up or ended,
+/// though there are rows for both: its rows would slow every step of the short one.
+#[test]
+fn a_request_far_ahead_rests_beside_a_short_one() {
+    let mut harness = Harness::new(8);
+    let wide_one = harness.add(wide(1, 400, 4));
+    harness.steps(1);
+    let short = harness.add(asked(2, 40));
+    harness.scheduler.running[0].spent += MOST_AHEAD * 3;
+    while harness.running() != [1] {
+        harness.steps(1);
+        assert!(harness.script.lock().steps.len() < 38, "the wide one rests from a segment on");
+    }
+    while harness.running() == [1] {
+        harness.steps(1);
+    }
+    assert_eq!(short.wait().unwrap().codes, Harness::alone(asked(2, 40)).codes);
+    harness.steps(1);
+    assert_eq!(harness.running(), [4], "it goes on once nobody is behind it");
+    harness.finish();
+    assert_eq!(wide_one.wait().unwrap().codes, Harness::alone(wide(1, 400, 4)).codes);
+}
+
 /// Nothing is preempted for a request that would not fit all the same, and smaller ones that fit do
 /// not wait behind it.
 #[test]

@@ -104,11 +104,11 @@ limits! {
     /// Requests at the same time on one HTTP/2 connection
     max_http2_streams: NonZeroU32 ["max_http2_streams" u32]
         "BAILANDO_MAX_HTTP2_STREAMS" = NonZeroU32::MIN.saturating_add(31);
-    /// Longest time in seconds that an HTTP/2 connection may be without a request
+    /// Longest time in seconds that a connection is kept open without a request (keep-alive); the
+    /// keep-alive of a proxy in front must be shorter
     connection_idle_timeout: Seconds ["connection_idle_timeout_s" f64]
-        "BAILANDO_CONNECTION_IDLE_TIMEOUT" = Seconds::new(60);
-    /// Longest time in seconds to send the head of a request, and for an HTTP/1 connection to be
-    /// idle
+        "BAILANDO_CONNECTION_IDLE_TIMEOUT" = Seconds::new(75);
+    /// Longest time in seconds to send the head of a request, from its first byte on
     header_read_timeout: Seconds ["header_read_timeout_s" f64]
         "BAILANDO_HEADER_READ_TIMEOUT" = Seconds::new(10);
     /// Time in seconds in which a client must take its share of a response, as

@@ -28,9 +28,10 @@ impl FromStr for Origin {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let text = text.trim().to_ascii_lowercase();
-        let possible = text == "*" || is_origin(&text);
+        // Pages from files and in sandboxes are of the origin `null` (WHATWG HTML, section 7.1.1).
+        let possible = text == "*" || text == "null" || is_origin(&text);
         possible.then(|| HeaderValue::try_from(text).ok()).flatten().map(Self).ok_or_else(|| {
-            "give * or scheme://host[:port] without a path, such as https://dance.example"
+            "give *, null, or scheme://host[:port] without a path, such as https://dance.example"
                 .to_owned()
         })
     }
@@ -64,6 +65,7 @@ mod tests {
             ("http://localhost:3000", "http://localhost:3000"),
             ("http://[::1]:3000", "http://[::1]:3000"),
             ("chrome-extension://abcdef", "chrome-extension://abcdef"),
+            ("null", "null"),
         ] {
             let origin: Origin = text.parse().unwrap();
             assert_eq!(origin.header(), header);
@@ -82,7 +84,6 @@ mod tests {
             "https://dance .example",
             "https://*.example:x",
             "://dance.example",
-            "null",
             "**",
         ] {
             assert!(text.parse::<Origin>().is_err(), "{text:?}");

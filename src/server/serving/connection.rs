@@ -77,10 +77,11 @@ pub(crate) async fn serve(
             }
         };
         let peer = Peer(peer);
+        let place = places.enter(peer.client());
         let connection = Connection {
-            stream: IdleTimeoutStream::new(stream, limits),
+            stream: IdleTimeoutStream::new(stream, Arc::clone(&place), limits),
             peer,
-            place: places.enter(peer.client()),
+            place,
             router: router.clone(),
             builder: Arc::clone(&builder),
             idle_timeout: limits.connection_idle_timeout.0,
@@ -197,7 +198,8 @@ fn builder(limits: &Limits) -> auto::Builder<StreamExecutor> {
         .http1()
         .timer(TokioTimer::new())
         .max_buf_size(LARGEST_HEAD as usize)
-        .header_read_timeout(limits.header_read_timeout.0);
+        // Also runs while a connection is idle. The stream ends heads that take too long.
+        .header_read_timeout(limits.connection_idle_timeout.0 + limits.header_read_timeout.0);
     builder
         .http2()
         .timer(TokioTimer::new())

@@ -54,6 +54,11 @@ impl Heads {
         }
     }
 
+    /// Whether the client does not speak HTTP/2.
+    pub(super) fn is_http1(&self) -> bool {
+        self.other
+    }
+
     /// Whether something has begun that its sender must end soon.
     pub(super) fn is_incomplete(&self) -> bool {
         let partial = !self.head.is_empty() || self.in_head && self.payload_left > 0;

@@ -4,6 +4,7 @@ use std::{
     future::Future,
     io,
     pin::Pin,
+    sync::Arc,
     task::{Context, Poll, ready},
     time::Duration,
 };
@@ -14,7 +15,7 @@ use tokio::{
     time::{Instant, Sleep, sleep, sleep_until},
 };
 
-use super::heads::Heads;
+use super::{heads::Heads, places::Place};
 use crate::server::config::Limits;
 
 /// Bytes that tell HTTP/1 from HTTP/2: the preface of the latter.
@@ -27,6 +28,9 @@ pub(super) struct IdleTimeoutStream {
     preface_left: usize,
     preface_deadline: Pin<Box<Sleep>>,
     heads: Heads,
+    place: Arc<Place>,
+    /// A head over HTTP/1 has begun, after so many requests.
+    head_begun: Option<u64>,
     head_timeout: Duration,
     head_deadline: Option<Pin<Box<Sleep>>>,
     write_timeout: Duration,
@@ -34,18 +38,33 @@ pub(super) struct IdleTimeoutStream {
 }
 
 impl IdleTimeoutStream {
-    pub(super) fn new(stream: TcpStream, limits: &Limits) -> Self {
+    pub(super) fn new(stream: TcpStream, place: Arc<Place>, limits: &Limits) -> Self {
         let until = Instant::now() + limits.header_read_timeout.0;
         Self {
             stream,
             preface_left: PREFACE,
             preface_deadline: Box::pin(sleep_until(until)),
             heads: Heads::default(),
+            place,
+            head_begun: None,
             head_timeout: limits.header_read_timeout.0,
             head_deadline: None,
             write_timeout: limits.answer_idle_timeout.0,
             write_deadline: None,
         }
+    }
+
+    /// Whether the head of a request has begun and not ended, after `new` more bytes. Over HTTP/1
+    /// bytes that come while no request is in progress are those of the next head.
+    fn is_in_head(&mut self, new: &[u8]) -> bool {
+        self.heads.read(new);
+        let (requests, idle) = self.place.requests();
+        self.head_begun = match self.head_begun {
+            Some(before) if idle && before == requests => Some(before),
+            _ if idle && !new.is_empty() && self.heads.is_http1() => Some(requests),
+            _ => None,
+        };
+        self.heads.is_incomplete() || self.head_begun.is_some()
     }
 
     /// Fails a write that has been pending for too long.
@@ -75,12 +94,12 @@ impl AsyncRead for IdleTimeoutStream {
         let read = Pin::new(&mut self.stream).poll_read(context, buffer);
         let new = buffer.filled().get(before..).unwrap_or_default();
         self.preface_left = self.preface_left.saturating_sub(new.len());
-        self.heads.read(new);
+        let in_head = self.is_in_head(new);
         if read.is_pending() && self.preface_left > 0 {
             ready!(self.preface_deadline.as_mut().poll(context));
             return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
         }
-        if !self.heads.is_incomplete() {
+        if !in_head {
             self.head_deadline = None;
             return read;
         }

@@ -3,7 +3,10 @@
 
 use std::{
     collections::HashMap,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicU64, Ordering},
+    },
     time::{Duration, Instant},
 };
 
@@ -52,6 +55,9 @@ pub(super) struct Place {
     /// Whether it is one beyond all places, for probes only.
     pub(super) spare: bool,
     displaced: CancellationToken,
+    /// Requests that have begun, and that have ended.
+    begun: AtomicU64,
+    ended: AtomicU64,
 }
 
 /// A request in progress on a connection.
@@ -88,7 +94,8 @@ impl Places {
         let open = Open { client, spare, requests: 0, idle_since, displaced: displaced.clone() };
         state.open.insert(number, open);
         self.gauge.set(state.open.len() as i64);
-        Arc::new(Place { of: Arc::clone(self), number, spare, displaced })
+        let (begun, ended) = (AtomicU64::new(0), AtomicU64::new(0));
+        Arc::new(Place { of: Arc::clone(self), number, spare, displaced, begun, ended })
     }
 }
 
@@ -128,10 +135,18 @@ impl State {
 impl Place {
     /// A request begins.
     pub(super) fn request(self: &Arc<Self>) -> InProgress {
+        self.begun.fetch_add(1, Ordering::SeqCst);
         if let Some(open) = self.of.state().open.get_mut(&self.number) {
             open.requests += 1;
         }
         InProgress(Arc::clone(self))
+    }
+
+    /// How many requests have begun, and whether none of them is in progress.
+    pub(super) fn requests(&self) -> (u64, bool) {
+        let ended = self.ended.load(Ordering::SeqCst);
+        let begun = self.begun.load(Ordering::SeqCst);
+        (begun, begun == ended)
     }
 
     /// Waits until the connection must give way to another.
@@ -159,6 +174,7 @@ impl Place {
 impl Drop for InProgress {
     fn drop(&mut self) {
         let Self(place) = self;
+        place.ended.fetch_add(1, Ordering::SeqCst);
         if let Some(open) = place.of.state().open.get_mut(&place.number) {
             open.requests -= 1;
             open.idle_since = Instant::now();

@@ -40,6 +40,8 @@ pub(crate) enum BodyError {
     NoRoom { retry_after: Seconds },
     #[error("the form holds too much beside its parts")]
     FormOverhead,
+    #[error("the lines of the form end with LF")]
+    FormLines,
     #[error("the body broke off: {0}")]
     Broken(axum::Error),
 }

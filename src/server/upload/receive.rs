@@ -3,14 +3,14 @@
 use axum::{
     body::Body,
     extract::{DefaultBodyLimit, FromRequest, Multipart, Request, multipart::Field},
-    http::request::Parts,
+    http::{header, request::Parts},
 };
 use bytes::{Bytes, BytesMut};
 use futures_util::{Stream, StreamExt, TryStreamExt};
 
 use super::{
     body::{BodyError, IncomingBody},
-    form::{FormBody, Kept},
+    form::{FormBody, Kept, boundary, content_type},
     media::Media,
 };
 use crate::audio::is_lossless;
@@ -66,7 +66,10 @@ pub(crate) async fn receive(
     };
     reservation.received();
     if upload.audio.is_empty() {
-        return Err(ServerError::MissingAudio);
+        return Err(match media {
+            Media::Raw => ServerError::MissingAudio,
+            Media::Form => ServerError::EmptyAudio,
+        });
     }
     Ok(upload)
 }
@@ -79,12 +82,21 @@ fn most_bytes(media: Media, limits: &Limits) -> u64 {
 }
 
 async fn receive_form(
-    parts: Parts,
+    mut parts: Parts,
     body: IncomingBody,
     mut options: RequestOptions,
     limits: &Limits,
 ) -> Result<Upload, ServerError> {
-    let body = FormBody::new(body);
+    let no_boundary = || {
+        ServerError::Multipart(
+            "the Content-Type of the form names no boundary: let the HTTP client set this header"
+                .to_owned(),
+        )
+    };
+    let boundary = boundary(&parts.headers).ok_or_else(no_boundary)?;
+    let kind = content_type(&boundary).ok_or_else(no_boundary)?;
+    parts.headers.insert(header::CONTENT_TYPE, kind);
+    let body = FormBody::new(body, &boundary);
     let kept = body.kept();
     let mut request = Request::from_parts(parts, Body::from_stream(body));
     // Our own limits are larger than the framework's default of 2 MB, and finer.
@@ -205,6 +217,11 @@ fn body_error(error: &BodyError, limits: &Limits) -> ServerError {
             "the form holds more than {} beside what its parts carry",
             ByteSize(FORM_OVERHEAD)
         )),
+        BodyError::FormLines => ServerError::Multipart(
+            "the lines of the form's boundaries and headers end with LF: end them with CR LF, as \
+             HTTP clients do"
+                .to_owned(),
+        ),
         BodyError::Broken(_) => ServerError::UploadBroken,
     }
 }

@@ -1,6 +1,8 @@
 //! `/jobs`: dances that are asked for now and fetched later.
 
+pub(crate) mod events;
 mod life;
+mod status;
 
 use std::sync::Arc;
 
@@ -10,17 +12,15 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, Uri, header},
     response::{IntoResponse, Response},
 };
-use serde::Serialize;
 use tracing::Instrument;
-use utoipa::ToSchema;
-use uuid::Uuid;
 
+use self::status::{JobStatus, find};
 use crate::server::{
-    error::{ErrorBody, Report, ServerError},
+    error::{Report, ServerError},
     intake::{self, Purpose},
     jobs::{Job, JobState},
     layers::{client::Client, envelope::request_id},
-    options::{OutputOptions, RequestOptions, shorten},
+    options::{OutputOptions, RequestOptions},
     response::{
         documented::{JobErrors, JobResultErrors, MotionResponse, NewJobErrors},
         negotiate,
@@ -29,52 +29,6 @@ use crate::server::{
     state::SharedState,
     upload::body::IncomingBody,
 };
-
-/// How far a job is.
-#[derive(Debug, Serialize, ToSchema)]
-pub(crate) struct JobStatus {
-    /// The job's id.
-    #[schema(example = "67e55044-10b1-426f-9247-bb680e5fe0c8")]
-    id: String,
-    /// `queued`, `running`, `done` or `failed`.
-    #[schema(example = "running")]
-    state: &'static str,
-    /// What is being done while it runs: `decode`, `features`, `inference` or `motion`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    stage: Option<&'static str>,
-    /// Pairs of pose codes that exist.
-    codes_done: usize,
-    /// Pairs of pose codes of the whole dance; 0 while that is not known.
-    codes_total: usize,
-    /// Where the result is, once there is one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    result: Option<String>,
-    /// Why it failed.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[schema(nullable = false)]
-    error: Option<ErrorBody>,
-}
-
-impl JobStatus {
-    fn of(job: &Job) -> Self {
-        let state = job.ask();
-        let (codes_done, codes_total) = job.tracker.codes_done();
-        Self {
-            id: job.id.to_string(),
-            state: state.name(),
-            stage: matches!(state, JobState::Running).then(|| job.tracker.phase().name()),
-            codes_done,
-            codes_total,
-            result: matches!(state, JobState::Done(_)).then(|| format!("/jobs/{}/result", job.id)),
-            error: match state {
-                JobState::Failed(report) => Some(report.body(&job.request_id)),
-                _ => None,
-            },
-        }
-    }
-}
 
 /// Orders a dance that is fetched later.
 ///
@@ -223,19 +177,4 @@ pub(crate) async fn delete(
     let job = find(&state, client, id)?;
     state.jobs.remove(job.id);
     Ok(StatusCode::NO_CONTENT)
-}
-
-/// A job of this client: one that was ordered with a key is found with that key only.
-fn find(
-    state: &SharedState,
-    client: Client,
-    id: Result<Path<String>, PathRejection>,
-) -> Result<Arc<Job>, ServerError> {
-    let Path(id) = id.map_err(|_| ServerError::NoJob { id: "of this name".to_owned() })?;
-    let none = || ServerError::NoJob { id: shorten(&id) };
-    let job = Uuid::try_parse(&id).ok().and_then(|id| state.jobs.get(id)).ok_or_else(none)?;
-    match job.owner {
-        Client::Key(_) if job.owner != client => Err(none()),
-        _ => Ok(job),
-    }
 }

@@ -75,12 +75,19 @@ fn head(opened: &Opened) -> HeaderMap {
     let mut headers = HeaderMap::new();
     let kind = if order.shape.lines { LINES } else { EVENTS };
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    unbuffered(&mut headers);
     headers.insert(SEED, HeaderValue::from(opening.seed));
     times(&mut headers, &opening.timings);
     headers.remove("x-inference-time");
     warnings::append(&mut headers, &opening.warnings);
     headers
+}
+
+/// Asks proxies to pass events on as they come: nginx collects them otherwise, and others wait for
+/// enough to compress.
+pub(crate) fn unbuffered(headers: &mut HeaderMap) {
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store, no-transform"));
+    headers.insert("x-accel-buffering", HeaderValue::from_static("no"));
 }
 
 async fn open(

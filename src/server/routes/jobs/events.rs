@@ -1,0 +1,111 @@
+//! `GET /jobs/{id}/events`: a job's progress as it is made.
+
+use std::{sync::Arc, time::Duration};
+
+use axum::{
+    extract::{Extension, Path, State, rejection::PathRejection},
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use bytes::Bytes;
+use futures_util::{Stream, stream};
+use tokio::time::{Instant, sleep};
+
+use super::status::{JobStatus, find};
+use crate::server::{
+    error::ServerError,
+    jobs::Job,
+    layers::{client::Client, envelope::Held},
+    response::{documented::JobErrors, negotiate::EVENTS, paced},
+    routes::stream::unbuffered,
+    state::SharedState,
+};
+
+/// Time between two looks at a job.
+const LOOK_AGAIN: Duration = Duration::from_millis(200);
+/// A comment is sent after so much silence, so that proxies keep the connection.
+const LONGEST_SILENCE: Duration = Duration::from_secs(15);
+/// The id of the last event. A browser's `EventSource` connects again after the end, and names it.
+const LAST: &str = "end";
+
+/// Follows a job to its end.
+///
+/// Server-sent events that a browser's `EventSource` can read: `progress` with a `JobStatus`
+/// whenever it changes, then one `done` or `failed` with the last one. Asked again after that, with
+/// the last event's id as `EventSource` does, the answer is 204, which ends it.
+#[utoipa::path(
+    get,
+    path = "/jobs/{id}/events",
+    operation_id = "follow_job",
+    tag = "jobs",
+    params(("id" = String, Path, description = "The job's id.")),
+    responses(
+        (
+            status = 200,
+            description = "Events `progress`, then `done` or `failed`; each carries a JobStatus.",
+            body = String,
+            content_type = "text/event-stream",
+        ),
+        (status = 204, description = "The last event was sent before."),
+        JobErrors,
+    )
+)]
+pub(crate) async fn events(
+    State(state): State<SharedState>,
+    Extension(client): Extension<Client>,
+    id: Result<Path<String>, PathRejection>,
+    headers: HeaderMap,
+) -> Result<Response, ServerError> {
+    let job = find(&state, client, id)?;
+    if headers.get("last-event-id").is_some_and(|id| id == LAST) {
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    }
+    let mut head = HeaderMap::new();
+    head.insert(header::CONTENT_TYPE, HeaderValue::from_static(EVENTS));
+    unbuffered(&mut head);
+    let body = paced::from_stream(Follower::new(job).events(), state.pace());
+    Ok((Held::Paced, head, body).into_response())
+}
+
+/// Looks at a job, and tells what has changed.
+struct Follower {
+    job: Arc<Job>,
+    told: String,
+    told_at: Instant,
+}
+
+impl Follower {
+    fn new(job: Arc<Job>) -> Self {
+        Self { job, told: String::new(), told_at: Instant::now() }
+    }
+
+    fn events(self) -> impl Stream<Item = Bytes> + Send + 'static {
+        stream::unfold(Some(self), |follower| async move {
+            let mut follower = follower?;
+            let (event, goes_on) = follower.next().await;
+            Some((event, goes_on.then_some(follower)))
+        })
+    }
+
+    /// The next event, and whether there are more.
+    async fn next(&mut self) -> (Bytes, bool) {
+        loop {
+            let status = JobStatus::of(&self.job);
+            let json = serde_json::to_string(&status).unwrap_or_default();
+            if matches!(status.state, "done" | "failed") || self.job.deleted.is_cancelled() {
+                let name = if status.state == "done" { "done" } else { "failed" };
+                return (format!("event: {name}\nid: {LAST}\ndata: {json}\n\n").into(), false);
+            }
+            if json != self.told {
+                let event = format!("event: progress\ndata: {json}\n\n");
+                (self.told, self.told_at) = (json, Instant::now());
+                return (event.into(), true);
+            }
+            if self.told_at.elapsed() > LONGEST_SILENCE {
+                self.told_at = Instant::now();
+                return (Bytes::from_static(b": still at it\n\n"), true);
+            }
+            sleep(LOOK_AGAIN).await;
+        }
+    }
+}
