@@ -29,8 +29,8 @@ mod tests;
 const MOST_PASSED_OVER: usize = 32;
 
 /// A request that is ahead of another by more of the model's time rests, from the end of a segment
-/// on, until that one has caught up: as much as half a minute of dance takes by itself, so that only
-/// long or wide requests rest, and short ones beside them are not slowed down by their rows.
+/// on, until that one has caught up: as much as half a minute of dance takes by itself, so that
+/// only long or wide requests rest, and short ones beside them are not slowed down by their rows.
 const MOST_AHEAD: Duration = Duration::from_millis(300);
 
 /// A conditioned request on its way to the scheduler.
