@@ -24,7 +24,9 @@ RUN mkdir -p src train/src train/benches \
 COPY . .
 # cargo compares modification times, and those of the context may be older than the layer above.
 RUN touch src/lib.rs src/main.rs \
-    && cargo build --release --locked --package bailando --bin bailando
+    && cargo build --release --locked --package bailando --bin bailando \
+    # Readable by any user, also from a checkout under a strict umask.
+    && chmod --recursive a+rX models/default LICENSE
 
 FROM debian:bookworm-slim AS onnxruntime
 # hadolint ignore=DL3008
@@ -49,10 +51,11 @@ ENV ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so \
     BAILANDO_HOST=0.0.0.0 \
     BAILANDO_MODEL_DIR=/app/models/default
 WORKDIR /app
-COPY LICENSE ./
-COPY models/default models/default
+COPY --from=builder /build/LICENSE ./
+COPY --from=builder /build/models/default models/default
 COPY --from=builder /build/target/release/bailando /usr/local/bin/
-# A number, so that an orchestrator can check that it is not root.
+# A number, so that an orchestrator can check that it is not root. Any other user will do: nothing is
+# written, and everything is readable by all.
 USER 10001:10001
 EXPOSE 8080
 STOPSIGNAL SIGTERM

@@ -112,6 +112,8 @@ check "manifests (schemas of Kubernetes ${kubernetes_versions[*]})" \
 check_with "kubectl version --client" "manifests as applied (kustomize)" validate_rendered deploy/kubernetes
 check_with "kubectl version --client" "manifests with a key as applied (kustomize)" \
     validate_rendered deploy/kubernetes-api-key
+check_with "kubectl version --client" "the same without fixed users" \
+    validate_rendered deploy/kubernetes-any-user
 check "manifests name the version" versions_agree
 check "Prometheus and provisioning (YAML)" parse_yaml deploy/prometheus.yml deploy/prometheus/*.yml \
     deploy/grafana/provisioning/*/*.yml

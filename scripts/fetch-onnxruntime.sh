@@ -127,6 +127,28 @@ means and set ORT_DYLIB_PATH to it."
     wheel=$1
 }
 
+# Hardened systems refuse to load a library that wants an executable stack (ELF: flag X of the segment
+# PT_GNU_STACK, or no such segment). Other kinds of libraries have no such thing.
+expect_no_executable_stack() {
+    python3 - "$1" <<'PYTHON' || fail "$library wants an executable stack."
+import struct
+import sys
+
+with open(sys.argv[1], "rb") as file:
+    head = file.read(64)
+    if head[:5] != b"\x7fELF\x02":
+        sys.exit(0)
+    offset, = struct.unpack_from("<Q", head, 32)
+    size, count = struct.unpack_from("<HH", head, 54)
+    file.seek(offset)
+    segments = [file.read(size) for _ in range(count)]
+GNU_STACK, EXECUTE = 0x6474E551, 1
+flags = [struct.unpack_from("<II", segment)[1] for segment in segments
+         if struct.unpack_from("<I", segment)[0] == GNU_STACK]
+sys.exit(not flags or any(flag & EXECUTE for flag in flags))
+PYTHON
+}
+
 install_library() {
     mkdir -p "$dest/lib" || fail "cannot write to $dest."
     # Staged inside the destination, so that each move is a rename within one file system.
@@ -137,6 +159,7 @@ install_library() {
     expect_sha256 "$wheel" "$wheel_sha256" "the downloaded wheel"
     python3 -m zipfile -e "$wheel" "$stage/wheel" || fail "cannot unpack the wheel."
     expect_sha256 "$stage/wheel/$member" "$library_sha256" "the library in the wheel"
+    expect_no_executable_stack "$stage/wheel/$member"
     chmod 0644 "$stage/wheel/$member" "$stage/wheel/onnxruntime/LICENSE" \
         "$stage/wheel/onnxruntime/ThirdPartyNotices.txt"
     mv -f "$stage/wheel/onnxruntime/LICENSE" "$dest/LICENSE"

@@ -199,11 +199,7 @@ async fn forms_with_small_mistakes_are_taken_or_told_what_is_wrong() {
     for (kind, body, wanted) in [
         ("multipart/form-data", HEAD.to_owned(), "names no boundary"),
         ("multipart/form-data; boundary=x", HEAD.replace("\r\n", "\n"), "end them with CR LF"),
-        (
-            "multipart/form-data; boundary=x",
-            HEAD.replace("song", "\r\n--x--"),
-            "file",
-        ),
+        ("multipart/form-data; boundary=x", HEAD.replace("song", "\r\n--x--"), "file"),
     ] {
         let error_type = if wanted == "file" { "missing_audio" } else { "invalid_multipart" };
         let said = refuse(&app, send_form(kind, body), 400, error_type).await;

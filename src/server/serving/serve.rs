@@ -1,6 +1,13 @@
 //! Start, service, drain and stop.
 
-use std::{future::Future, io, net::SocketAddr, pin::pin, sync::Arc, time::Duration};
+use std::{
+    future::Future,
+    io,
+    net::{Ipv4Addr, SocketAddr},
+    pin::pin,
+    sync::Arc,
+    time::Duration,
+};
 
 use futures_util::{Stream, StreamExt, stream};
 use tokio::net::TcpListener;
@@ -212,10 +219,7 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
     let result = runtime.block_on(async {
         // First, so that a process that is told to stop while it starts also ends cleanly.
         let signals = Signals::install().map_err(ServeError::Signals)?;
-        let listener =
-            TcpListener::bind((config.host.as_str(), config.port)).await.map_err(|source| {
-                ServeError::Bind { address: format!("{}:{}", config.host, config.port), source }
-            })?;
+        let listener = bind(&config.host, config.port).await?;
         let load = open(config.engine(Arc::clone(&service.metrics) as _));
         run(service, load, listener, signals.stream()).await
     });
@@ -224,10 +228,50 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
     result
 }
 
+/// Listens on `host`, which may be in the brackets that a URL needs around an IPv6 address. `::`
+/// takes IPv4 too; where the system has no IPv6, IPv4 alone.
+async fn bind(host: &str, port: u16) -> Result<TcpListener, ServeError> {
+    let name = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
+    let listener = match TcpListener::bind((name, port)).await {
+        Err(error) if name == "::" && has_no_ipv6(&error) => {
+            tracing::warn!("there is no IPv6 here: listening on 0.0.0.0 instead of ::");
+            TcpListener::bind((Ipv4Addr::UNSPECIFIED, port)).await
+        }
+        bound => bound,
+    };
+    listener.map_err(|source| ServeError::Bind { address: format!("{host}:{port}"), source })
+}
+
+/// Whether a socket failed for want of IPv6: no such address family, or no such address.
+fn has_no_ipv6(error: &io::Error) -> bool {
+    const EAFNOSUPPORT: i32 = 97;
+    error.raw_os_error() == Some(EAFNOSUPPORT) || error.kind() == io::ErrorKind::AddrNotAvailable
+}
+
 /// Opens the model on a blocking thread: reading and hashing it takes long.
 async fn open(config: EngineConfig) -> Result<Arc<dyn Generate>, ServeError> {
     let engine = tokio::task::spawn_blocking(move || Engine::open(&config))
         .await
         .map_err(ServeError::Load)??;
     Ok(Arc::new(engine))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn hosts_are_listened_on_however_they_are_written() {
+        for host in ["127.0.0.1", "localhost", "::"] {
+            bind(host, 0).await.unwrap();
+        }
+        // Only where there is IPv6.
+        if TcpListener::bind("[::1]:0").await.is_ok() {
+            for host in ["::1", "[::1]"] {
+                assert!(bind(host, 0).await.unwrap().local_addr().unwrap().is_ipv6());
+            }
+        }
+        let nowhere = bind("[no such host]", 1).await.unwrap_err();
+        assert!(nowhere.to_string().contains("[no such host]:1"), "{nowhere}");
+    }
 }
