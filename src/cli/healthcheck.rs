@@ -1,7 +1,7 @@
 //! `bailando healthcheck`: exit code for container probes.
 
 use std::{
-    net::{IpAddr, Ipv4Addr, Ipv6Addr},
+    net::{IpAddr, Ipv4Addr},
     time::Duration,
 };
 
@@ -65,7 +65,8 @@ impl HealthcheckArgs {
 fn reachable(host: &str) -> String {
     match host.parse() {
         Ok(IpAddr::V4(ip)) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.to_string(),
-        Ok(IpAddr::V6(ip)) if ip.is_unspecified() => format!("[{}]", Ipv6Addr::LOCALHOST),
+        // Where there is no IPv6 it listens on IPv4 alone.
+        Ok(IpAddr::V6(ip)) if ip.is_unspecified() => "localhost".to_owned(),
         Ok(IpAddr::V6(ip)) => format!("[{ip}]"),
         _ => host.to_owned(),
     }
@@ -89,7 +90,7 @@ mod tests {
         for (given, host, port, expected) in [
             (None, "127.0.0.1", 8080, "http://127.0.0.1:8080/health"),
             (None, "0.0.0.0", 9000, "http://127.0.0.1:9000/health"),
-            (None, "::", 9000, "http://[::1]:9000/health"),
+            (None, "::", 9000, "http://localhost:9000/health"),
             (None, "10.1.2.3", 80, "http://10.1.2.3:80/health"),
             (None, "fe80::1", 80, "http://[fe80::1]:80/health"),
             (None, "dance.local", 80, "http://dance.local:80/health"),

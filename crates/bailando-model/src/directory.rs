@@ -8,7 +8,7 @@ use std::{
 
 use sha2::{Digest, Sha256};
 
-use super::{Decoder, Encoder, Gpt, Manifest, ModelError};
+use super::{Decoder, Encoder, Gpt, Manifest, ModelError, installed::model_directory};
 
 /// Largest `manifest.json` that is read.
 const MANIFEST_LIMIT: u64 = 16 << 20;
@@ -22,12 +22,14 @@ pub struct ModelDirectory {
 }
 
 impl ModelDirectory {
-    /// Reads the manifest of `root` and checks every file it lists by size and SHA-256.
+    /// Reads the manifest of `root` and checks every file it lists by size and SHA-256. A relative
+    /// `root` that is not in the working directory is looked for around the executable.
     ///
     /// # Errors
     /// [`ModelError::Read`], [`ModelError::Outside`], [`ModelError::Manifest`] or
     /// [`ModelError::Mismatch`], naming the file.
     pub fn open(root: &Path) -> Result<Self, ModelError> {
+        let root = &model_directory(root);
         let path = root.join("manifest.json");
         if !path.is_file() {
             return Err(ModelError::NoModel { path });

@@ -19,6 +19,7 @@ mod directory;
 mod embedded;
 mod error;
 mod gpt;
+mod installed;
 mod manifest;
 mod runtime;
 mod session;

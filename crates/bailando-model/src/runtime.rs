@@ -9,7 +9,7 @@ use std::{
 
 use ort::{LoadDynamicError, environment::Environment, logging::LogLevel};
 
-use super::ModelError;
+use super::{ModelError, installed::python_library};
 
 /// Environment variable that names the library file, ahead of every other place.
 pub const LIBRARY_VARIABLE: &str = "ORT_DYLIB_PATH";
@@ -73,8 +73,9 @@ fn file_name() -> String {
     format!("{}onnxruntime{}", consts::DLL_PREFIX, consts::DLL_SUFFIX)
 }
 
-/// Finds the library to load: the variable, else the first of [`places`], else the bare name, which
-/// the loader looks for in the system's library folders.
+/// Finds the library to load: the variable, else the first of [`places`], else that of a Python
+/// environment around the executable, else the bare name, which the loader looks for in the
+/// system's library folders.
 fn find_library() -> Result<PathBuf, String> {
     if let Some(chosen) = env::var_os(LIBRARY_VARIABLE).map(PathBuf::from) {
         return match chosen.is_file() {
@@ -89,7 +90,8 @@ fn find_library() -> Result<PathBuf, String> {
     let found = places(executable.as_deref(), env::current_dir().ok().as_deref())
         .into_iter()
         .find(|path| path.is_file());
-    match found {
+    let in_python = || python_library(executable.as_deref()?, &file_name());
+    match found.or_else(in_python) {
         Some(path) => Ok(path),
         // Where a bare name is to be loaded, ort looks beside the executable, and panics without.
         None if executable.is_none() => Err(not_found("the executable's folder is unknown")),
