@@ -16,7 +16,7 @@ LINTING := RUSTC_WORKSPACE_WRAPPER=clippy-driver \
 	CLIPPY_ARGS=-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run build check test fuzz fmt deny lint-deploy chaos soak clean docker toolchain
+.PHONY: help setup run build check test web web-test fuzz fmt deny lint-deploy chaos soak clean docker toolchain
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -47,6 +47,20 @@ test: setup ## format, lints, documentation, every test; ends with 'P passed, F 
 	$(LINTING) $(CARGO) test --workspace --all-targets --locked --no-run
 	@$(LINTING) RUSTDOC='$(CURDIR)/scripts/rustdoc-checked.sh' scripts/test-summary.sh target/test.log \
 		$(CARGO) test --workspace --locked --no-fail-fast -- --show-output
+
+# What npm has installed, as it writes it down.
+WEB_MODULES := web/node_modules/.package-lock.json
+
+$(WEB_MODULES): web/package-lock.json
+	@node --version >/dev/null 2>&1 || { echo "node is missing: 20.19 or newer, with npm" >&2; exit 1; }
+	cd web && npm ci --no-audit --no-fund
+
+web: $(WEB_MODULES) ## build the viewer of web/ into web/dist, which is committed (node, npm)
+	cd web && npm run build
+
+web-test: toolchain setup $(WEB_MODULES) ## test the viewer in a real browser (node, npm, chromium)
+	$(CARGO) build --locked --bin bailando
+	cd web && npm run check && npm test && npm run e2e
 
 fuzz: ## fuzz every target for SECONDS=60 (needs a nightly compiler and cargo-fuzz)
 	@scripts/fuzz.sh $(SECONDS) $(TARGETS)

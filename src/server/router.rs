@@ -10,7 +10,7 @@ use super::{
     openapi,
     options::shorten,
     response::negotiate::{EVENTS, LINES},
-    routes::docs,
+    routes::{docs, viewer},
     state::{Generate, ServerState, SharedState},
 };
 use axum::{
@@ -47,6 +47,7 @@ pub(crate) fn router_with(state: SharedState, access: &Access) -> Router {
     let routes = routes
         .with_state(Arc::clone(&state))
         .merge(docs::routes(&document))
+        .merge(viewer::routes(access.no_viewer))
         .fallback(not_found)
         .method_not_allowed_fallback(method_not_allowed);
     let routes = envelope::wrap(routes, state, &access.hosts);

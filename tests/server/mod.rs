@@ -16,3 +16,4 @@ mod real;
 mod streaming;
 mod surface;
 mod uploads;
+mod viewer;

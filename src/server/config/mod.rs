@@ -19,7 +19,7 @@ pub use self::{
 };
 use crate::engine::{EngineConfig, Observer};
 
-/// API keys and allowed origins.
+/// API keys, allowed origins, and whether people find a page.
 #[derive(Clone, Debug, Default)]
 pub struct Access {
     /// Keys that callers must send one of; without any, every caller is accepted.
@@ -28,6 +28,8 @@ pub struct Access {
     pub origins: Vec<Origin>,
     /// Host names that requests may name; without any, every one.
     pub hosts: Vec<String>,
+    /// Whether `/` leads to the documentation instead of the viewer.
+    pub no_viewer: bool,
 }
 
 /// Settings of `serve`.
@@ -67,6 +69,9 @@ pub struct ServerConfig {
     /// name that resolves to this server is refused then. Probes may name any [default: all]
     #[arg(long, env = "BAILANDO_ALLOWED_HOST", value_delimiter = ',')]
     pub allowed_host: Vec<String>,
+    /// Serve no viewer: / leads to the documentation instead
+    #[arg(long, env = "BAILANDO_NO_VIEWER", value_parser = FalseyValueParser::new())]
+    pub no_viewer: bool,
     /// Collector that traces are sent to: OTLP over HTTP, such as http://localhost:4318 [default:
     /// none]
     #[arg(long, env = "BAILANDO_OTLP_ENDPOINT")]
@@ -88,6 +93,7 @@ impl Default for ServerConfig {
             api_key_file: None,
             cors_allow_origin: Vec::new(),
             allowed_host: Vec::new(),
+            no_viewer: false,
             otlp_endpoint: None,
             json_output: false,
         }
@@ -95,7 +101,7 @@ impl Default for ServerConfig {
 }
 
 impl ServerConfig {
-    /// Returns the API keys of the settings and of the key file, and the allowed origins.
+    /// Returns the API keys of the settings and of the key file, and the rest of who may see what.
     ///
     /// # Errors
     /// [`KeysError`] if the file cannot be read or holds no key.
@@ -113,6 +119,7 @@ impl ServerConfig {
             keys,
             origins: self.cors_allow_origin.clone(),
             hosts: self.allowed_host.clone(),
+            no_viewer: self.no_viewer,
         })
     }
 

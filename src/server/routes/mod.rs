@@ -6,3 +6,4 @@ pub(crate) mod generate;
 pub(crate) mod jobs;
 pub(crate) mod probes;
 pub(crate) mod stream;
+pub(crate) mod viewer;

@@ -1,0 +1,247 @@
+import { Server, ServerFault } from './api/server';
+import type { Info } from './api/types';
+import { Player } from './audio/player';
+import { waveform } from './audio/waveform';
+import { Cast } from './cast';
+import type { Dancer } from './dancer';
+import { generate } from './generation';
+import { footContacts } from './motion/contacts';
+import { Skeleton } from './motion/skeleton';
+import type { BuildName } from './scene/body';
+import { Stage } from './scene/stage';
+import { Banner } from './ui/banner';
+import { byId, clockText } from './ui/dom';
+import { Intake } from './ui/intake';
+import { OptionsForm } from './ui/options';
+import { Results } from './ui/results';
+import { TransportBar } from './ui/transport';
+
+/** Seconds between two questions whether the model is loaded. */
+const LOADING_RETRY = 1.5;
+
+type State = 'empty' | 'generating' | 'ready';
+
+/** The page: takes a song, has it danced, shows and plays the dance. */
+export class App {
+  readonly player = new Player();
+  readonly stage = new Stage(byId<HTMLCanvasElement>('stage'));
+  readonly bar = new TransportBar(this.player, this.stage);
+  private readonly server = new Server();
+  private readonly banner = new Banner();
+  private readonly form = new OptionsForm();
+  private readonly cast = new Cast(this.stage);
+  private readonly results = new Results(
+    this.server,
+    this.form,
+    (error) => this.banner.show(error),
+    (text) => this.say(text),
+  );
+  private info: Info | null = null;
+  private skeleton: Skeleton | null = null;
+  private song: File | null = null;
+  private dancers: Dancer[] = [];
+  private running: AbortController | null = null;
+  private shownContacts = -1;
+
+  constructor() {
+    new Intake(
+      (file) => this.take(file),
+      (file) => void this.choose(file),
+      (error) => this.banner.show(error),
+    );
+    this.results.mirrored = () => this.bar.mirror;
+    this.stage.onframe = (now, seconds) => this.frame(now, seconds);
+    this.player.onchange = () => this.stage.invalidate();
+    byId('form').addEventListener('submit', (event) => {
+      event.preventDefault();
+      if (this.running) this.running.abort();
+      else void this.dance();
+    });
+    byId('key').addEventListener('change', () => {
+      this.server.key = byId<HTMLInputElement>('key').value.trim();
+    });
+    this.figures();
+    const dark = matchMedia('(prefers-color-scheme: dark)');
+    const paint = () => this.stage.paint(dark.matches ? 'dark' : 'light');
+    dark.addEventListener('change', paint);
+    paint();
+  }
+
+  /** Asks the server what it offers, until its model is loaded. */
+  async start(): Promise<void> {
+    for (;;) {
+      try {
+        this.info = await this.server.info();
+        break;
+      } catch (error) {
+        if (!(error instanceof ServerFault) || error.status !== 503) {
+          this.banner.show(error, () => void this.start());
+          return;
+        }
+        this.say('The model is loading…');
+        await new Promise((resolve) => setTimeout(resolve, LOADING_RETRY * 1000));
+      }
+    }
+    this.say('');
+    this.form.fill(this.info);
+    byId('model').textContent = this.info.model.name;
+    byId('model').title = `${this.info.model.name}, version ${this.info.version}`;
+    this.skeleton = new Skeleton(this.info.model.skeleton);
+    await this.cast.rest(this.skeleton);
+    byId<HTMLButtonElement>('dance').disabled = this.song === null;
+  }
+
+  private take(song: File): void {
+    this.song = song;
+    byId('song-name').textContent = song.name;
+    byId('song-detail').textContent = `${(song.size / 1e6).toFixed(1)} MB`;
+    byId<HTMLButtonElement>('dance').disabled = this.info === null;
+    if (this.info) void this.dance();
+  }
+
+  private async dance(): Promise<void> {
+    const { song, skeleton } = this;
+    if (!song || !skeleton) return;
+    this.running?.abort();
+    const running = (this.running = new AbortController());
+    this.banner.hide();
+    this.setState('generating');
+    this.say('Listening to the song…');
+    const asked = this.form.dancers();
+    this.dancers = asked.map((options, place) => ({
+      place,
+      options,
+      dance: null,
+      state: 'waiting',
+    }));
+    const offset = Number(this.dancers[0].options.offset_s ?? 0) || 0;
+    this.player.load(song, offset);
+    this.bar.timeline.clear();
+    this.bar.reset(undefined);
+    this.shownContacts = -1;
+    this.results.show(song, this.dancers);
+    void waveform(song).then((found) => {
+      if (running === this.running || this.song === song) this.drawn(song, found);
+    });
+    try {
+      const generated = generate(this.server, song, this.dancers, running.signal, {
+        started: (dancer) => this.started(dancer, offset),
+        arrived: () => this.arrived(running),
+        warned: (text) => this.say(text),
+      });
+      await Promise.all([generated, this.cast.show(skeleton, this.dancers)]);
+    } catch (error) {
+      if (!running.signal.aborted) this.banner.show(error, () => void this.dance());
+    } finally {
+      if (this.running === running) {
+        this.running = null;
+        this.ended();
+      }
+    }
+  }
+
+  private drawn(song: File, found: Awaited<ReturnType<typeof waveform>>): void {
+    this.bar.timeline.show({ waveform: found });
+    const size = `${(song.size / 1e6).toFixed(1)} MB`;
+    const length = found ? `${clockText(found.seconds)} · ` : '';
+    byId('song-detail').textContent = length + size;
+  }
+
+  private started(dancer: Dancer, offset: number): void {
+    const { dance } = dancer;
+    if (!dance) return;
+    this.results.refresh();
+    if (this.player.duration > 0) return;
+    this.player.duration = dance.duration;
+    this.bar.reset(dance.music);
+    this.bar.timeline.show({ duration: dance.duration, offset, music: dance.music });
+    this.say('Dancing…');
+  }
+
+  /** Frames have arrived: as many seconds can be played as all dancers have. */
+  private arrived(running: AbortController): void {
+    if (running !== this.running) return;
+    const first = this.player.available === 0;
+    const going = this.dancers.filter(({ state }) => state !== 'failed');
+    const seconds = going.map(({ dance }) => dance?.availableSeconds ?? 0);
+    this.player.available = Math.min(...seconds);
+    this.bar.timeline.show({ available: this.player.available });
+    this.results.refresh();
+    this.contacts();
+    if (first && this.player.available > 0) {
+      // People who want less motion start the dance by hand.
+      const calm = matchMedia('(prefers-reduced-motion: reduce)').matches;
+      if (!calm) void this.player.play();
+    }
+    this.stage.invalidate();
+  }
+
+  private contacts(): void {
+    const dance = this.dancers[0]?.dance;
+    if (!dance || dance.available === this.shownContacts) return;
+    this.shownContacts = dance.available;
+    this.bar.timeline.show(footContacts(dance));
+  }
+
+  private ended(): void {
+    const some = this.dancers.some(({ dance }) => dance && dance.available > 0);
+    this.setState(some ? 'ready' : 'empty');
+    if (!some) {
+      this.player.unload();
+      byId('result').hidden = true;
+    } else if (this.dancers.some(({ state }) => state !== 'done')) {
+      // What was stopped or has failed plays as far as it came.
+      this.player.duration = this.player.available;
+      this.bar.timeline.show({ duration: this.player.duration });
+    }
+    const silent = this.player.silent;
+    const sound = 'The browser cannot play this song: the dance is shown without sound.';
+    if (silent) this.say(sound);
+    else if (document.body.dataset.state !== 'generating') this.say('');
+    this.results.refresh();
+    this.stage.invalidate();
+  }
+
+  private frame(now: number, seconds: number): boolean {
+    const time = this.player.tick(now);
+    this.cast.update(time, this.bar.mirror, seconds);
+    this.bar.show(time);
+    return this.player.playing;
+  }
+
+  private setState(state: State): void {
+    document.body.dataset.state = state;
+    byId('dance').textContent = state === 'generating' ? 'Stop' : 'Dance';
+  }
+
+  private say(text: string): void {
+    byId('status').textContent = text;
+  }
+
+  private figures(): void {
+    const file = byId<HTMLInputElement>('avatar');
+    byId('figures').addEventListener('change', (event) => {
+      const { value } = event.target as HTMLInputElement;
+      if (value === 'own') file.click();
+      else void this.choose(value as BuildName);
+    });
+    file.addEventListener('change', () => {
+      if (file.files?.[0]) void this.choose(file.files[0]);
+      file.value = '';
+    });
+  }
+
+  private async choose(figure: BuildName | File): Promise<void> {
+    if (!this.skeleton) return;
+    const detail = byId('figure-detail');
+    try {
+      await this.cast.choose(this.skeleton, figure);
+      const own = figure instanceof File;
+      const value = own ? 'own' : figure;
+      byId('figures').querySelector<HTMLInputElement>(`[value=${value}]`)!.checked = true;
+      if (own) detail.textContent = figure.name;
+    } catch (error) {
+      this.banner.show(error);
+    }
+  }
+}

@@ -1,0 +1,58 @@
+import { interrupted, type Server, ServerFault } from './api/server';
+import type { Dancer } from './dancer';
+import { Dance } from './motion/dance';
+
+/** What a generation reports. */
+export interface Reports {
+  /** A dancer's length and music are known. */
+  started(dancer: Dancer): void;
+  /** More frames have arrived. */
+  arrived(dancer: Dancer): void;
+  /** Something was trimmed or assumed. */
+  warned(text: string): void;
+}
+
+/** Generates the dances of all `dancers` at the same time; fails with the first that fails. */
+export async function generate(
+  server: Server,
+  song: File,
+  dancers: Dancer[],
+  signal: AbortSignal,
+  reports: Reports,
+): Promise<void> {
+  const results = await Promise.allSettled(
+    dancers.map((dancer) => one(server, song, dancer, signal, reports)),
+  );
+  for (const result of results) if (result.status === 'rejected') throw result.reason;
+}
+
+async function one(
+  server: Server,
+  song: File,
+  dancer: Dancer,
+  signal: AbortSignal,
+  reports: Reports,
+): Promise<void> {
+  try {
+    for await (const event of server.stream(song, dancer.options, signal)) {
+      if (event.event === 'start') {
+        dancer.dance = new Dance(event);
+        dancer.state = 'streaming';
+        event.warnings?.forEach((text) => reports.warned(text));
+        reports.started(dancer);
+      } else if (event.event === 'frames') {
+        dancer.dance?.append(event);
+        reports.arrived(dancer);
+      } else if (event.event === 'error') {
+        throw new ServerFault(event.error, event.error_type, event.request_id, 500, null);
+      } else if (event.event === 'done') {
+        dancer.state = 'done';
+      }
+    }
+    if (dancer.state !== 'done') throw interrupted();
+    reports.arrived(dancer);
+  } catch (error) {
+    dancer.state = 'failed';
+    throw error;
+  }
+}
