@@ -11,6 +11,7 @@ mod inputs;
 mod output;
 mod progress;
 mod serve;
+mod study;
 
 use std::process::ExitCode;
 
@@ -41,6 +42,8 @@ enum Command {
     Features(features::FeaturesArgs),
     /// Compare generated motion with recordings: FID, diversity, beat align score and more
     Evaluate(Box<evaluate::EvaluateArgs>),
+    /// Ask people which of two dances is the better one to a song, and count their answers
+    Study(study::StudyArgs),
     /// Draw each pose code of a model: a sheet per half of the body, and numbers
     Codebook(codebook::CodebookArgs),
     /// Measure the speed of a model on this machine: stages, steps, many dances at once, long songs
@@ -63,6 +66,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Generate(args) => generate::run(&args),
         Command::Features(args) => features::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Study(args) => study::run(&args),
         Command::Codebook(args) => codebook::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Healthcheck(args) => healthcheck::run(&args),

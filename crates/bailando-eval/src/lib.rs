@@ -20,6 +20,7 @@ mod report;
 mod run;
 mod scores;
 mod sets;
+mod study;
 #[cfg(test)]
 mod testing;
 
@@ -37,3 +38,4 @@ pub use music::BeatsFrom;
 pub use report::{Protocol, Report};
 pub use run::{EvaluationOptions, evaluate};
 pub use scores::FeatureRows;
+pub use study::{StudyOptions, StudyScore};

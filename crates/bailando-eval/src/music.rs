@@ -144,6 +144,13 @@ fn missing(piece: &str, place: &Path, lacks: &str, names: &[String]) -> Evaluati
     }
 }
 
+/// Whether a file of a folder of songs is one, by its extension.
+pub(crate) fn is_song(path: &Path) -> bool {
+    const EXTENSIONS: [&str; 8] = ["wav", "flac", "mp3", "ogg", "oga", "m4a", "mp4", "aac"];
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|e| EXTENSIONS.contains(&e.to_ascii_lowercase().as_str()))
+}
+
 /// Beats of the audio files in a folder, each file decoded once.
 struct SongBeats {
     files: HashMap<String, PathBuf>,
@@ -153,12 +160,7 @@ struct SongBeats {
 
 impl SongBeats {
     fn new(folder: &Path) -> Result<Self, EvaluationError> {
-        const EXTENSIONS: [&str; 8] = ["wav", "flac", "mp3", "ogg", "oga", "m4a", "mp4", "aac"];
-        let is_audio = |path: &PathBuf| {
-            let extension = path.extension().and_then(|extension| extension.to_str());
-            extension.is_some_and(|e| EXTENSIONS.contains(&e.to_ascii_lowercase().as_str()))
-        };
-        let files = entries(folder)?.into_iter().filter(is_audio);
+        let files = entries(folder)?.into_iter().filter(|path| is_song(path));
         Ok(Self {
             files: files.map(|path| (stem(&path), path)).collect(),
             extractor: FeatureExtractor::new(Rate::Beats, Profile::Librosa011),
