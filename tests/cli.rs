@@ -161,7 +161,7 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
 }
 
 #[test]
-fn a_song_becomes_json_bvh_and_npy_of_the_same_dance() {
+fn a_song_becomes_a_file_of_every_format() {
     let folder = folder();
     let [document, positions, bvh] = ["a.json", "a.npy", "a.bvh"].map(|name| {
         let path = path(&folder, name);
@@ -178,6 +178,18 @@ fn a_song_becomes_json_bvh_and_npy_of_the_same_dance() {
     assert_eq!(json["frames"], frames);
     assert_eq!(json["seed"], 7);
     assert!(bvh.contains(&format!("Frames: {frames}")));
+    for format in ["glb", "vrma", "fbx", "vmd", "npz"] {
+        let file = path(&folder, &format!("a.{format}"));
+        succeed(&format!("generate {SONG} -o {file} --seed 7 --duration-s 2"));
+        let bytes = fs::read(&file).expect(format);
+        let starts: &[u8] = match format {
+            "fbx" => b"Kaydara FBX Binary",
+            "vmd" => b"Vocaloid Motion Data 0002",
+            "npz" => b"PK",
+            _ => b"glTF",
+        };
+        assert!(bytes.starts_with(starts), "{format}");
+    }
     let hand = json["positions"][frames - 1][23][1].as_f64();
     let expected = f64::from(positions[[frames - 1, 23, 1]]);
     assert!((hand.expect("a number") - expected).abs() < 1e-5);

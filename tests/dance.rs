@@ -7,7 +7,7 @@ use bailando::{
     CancelToken,
     audio::{AudioLimits, AudioRange},
     engine::{Engine, GenerationOptions, GenerationRequest, MotionOutput, MotionStream, Opening},
-    formats::{BvhUnit, Continuation, GeneratedMotion, JsonOptions, OutputFormat},
+    formats::{Continuation, GeneratedMotion, OutputFormat, WriteOptions},
     motion::{self, FinishOptions, Finisher},
 };
 use bailando_testkit::{song, wav::wav16};
@@ -85,13 +85,11 @@ fn every_container_of_the_demo_song_becomes_a_dance_of_its_length() {
         let frames = dance.positions.dim().0;
         let expected = (SONG_SECONDS * FPS as f64) as usize;
         assert!(frames.abs_diff(expected) <= 8, "{name}: {frames} frames");
-        let json =
-            OutputFormat::Json.write(dance, &JsonOptions::default(), BvhUnit::Centimetre).unwrap();
+        let write = |format: OutputFormat| format.write(dance, &WriteOptions::default()).unwrap();
+        let json = write(OutputFormat::Json);
         let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
         assert_eq!(json["frames"], frames, "{name}");
-        let bvh =
-            OutputFormat::Bvh.write(dance, &JsonOptions::default(), BvhUnit::Centimetre).unwrap();
-        let bvh = String::from_utf8(bvh).unwrap();
+        let bvh = String::from_utf8(write(OutputFormat::Bvh)).unwrap();
         assert!(bvh.contains(&format!("Frames: {frames}")), "{name}");
     }
 }

@@ -68,8 +68,9 @@ struct RowsArgs {
         long,
         value_name = "F.npy",
         conflicts_with_all = [
-            "output", "out_dir", "include_rotations", "encoding", "bvh_unit", "offset_s",
-            "duration_s", "fps", "root_motion", "music", "max_audio_seconds", "candidates",
+            "output", "out_dir", "include_rotations", "encoding", "bvh_unit", "skeleton",
+            "mannequin", "offset_s", "duration_s", "fps", "root_motion", "music",
+            "max_audio_seconds", "candidates",
         ]
     )]
     features: Option<PathBuf>,
@@ -135,10 +136,7 @@ fn one_song(
 ) -> anyhow::Result<()> {
     let started = Instant::now();
     let audio = read_file(input)?;
-    let options = args.options.generation(match format {
-        FileFormat::Json => OutputFormat::Json,
-        FileFormat::Bvh | FileFormat::Npy => OutputFormat::Bvh,
-    });
+    let options = args.options.generation(format.motion());
     let bar = Arc::new(Bar::new(&input.display().to_string()));
     let request = GenerationRequest::audio(audio, options).with_progress(Arc::clone(&bar) as _);
     let output = engine.generate(request)?;

@@ -8,11 +8,11 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    formats::{GeneratedMotion, JsonOptions, OutputFormat},
+    formats::{GeneratedMotion, OutputFormat},
     motion::Positions,
     options::RequestOptions,
 };
-use clap::ValueEnum;
+use clap::{ValueEnum, builder::PossibleValue};
 use ndarray_npy::WriteNpyExt;
 
 use super::{
@@ -23,9 +23,9 @@ use super::{
 /// How results are written.
 #[derive(Debug, clap::Args)]
 pub(super) struct OutputArgs {
-    /// The file to write; its extension is the format: json, bvh or npy (positions alone). `-` is
-    /// standard output, in --format
-    #[arg(short, long, value_name = "OUT.{json,bvh,npy}", conflicts_with = "out_dir")]
+    /// The file to write; its extension is the format: json, bvh, glb, vrma, fbx, vmd, npz, or npy
+    /// (positions alone). `-` is standard output, in --format
+    #[arg(short, long, value_name = "OUT.{json,bvh,glb,..}", conflicts_with = "out_dir")]
     output: Option<PathBuf>,
     /// Folder for the results of several songs, each named after its song
     #[arg(long, value_name = "DIR")]
@@ -38,29 +38,63 @@ pub(super) struct OutputArgs {
     include_rotations: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FileFormat {
-    Json,
-    Bvh,
+    Motion(OutputFormat),
+    /// Positions alone.
     Npy,
+}
+
+impl ValueEnum for FileFormat {
+    fn value_variants<'a>() -> &'a [Self] {
+        const ALL: [FileFormat; OutputFormat::ALL.len() + 1] = {
+            let mut all = [FileFormat::Npy; OutputFormat::ALL.len() + 1];
+            let mut index = 0;
+            while index < OutputFormat::ALL.len() {
+                all[index] = FileFormat::Motion(OutputFormat::ALL[index]);
+                index += 1;
+            }
+            all
+        };
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.extension()))
+    }
 }
 
 impl FileFormat {
     fn extension(self) -> &'static str {
         match self {
-            Self::Json => "json",
-            Self::Bvh => "bvh",
+            Self::Motion(format) => format.name(),
             Self::Npy => "npy",
         }
+    }
+
+    /// Returns the format for which the motion is made.
+    pub(super) fn motion(self) -> OutputFormat {
+        match self {
+            Self::Motion(format) => format,
+            Self::Npy => OutputFormat::Bvh,
+        }
+    }
+
+    fn names() -> String {
+        let all: Vec<&str> =
+            Self::value_variants().iter().map(|format| format.extension()).collect();
+        let (last, others) = all.split_last().unwrap_or((&"", &[]));
+        format!("{} or {last}", others.join(", "))
     }
 
     fn of(path: &Path) -> Result<Self, Usage> {
         let extension = path.extension().and_then(|e| e.to_str());
         let extension = extension.map(str::to_ascii_lowercase);
-        let mut formats = [Self::Json, Self::Bvh, Self::Npy].into_iter();
-        formats.find(|format| extension.as_deref() == Some(format.extension())).ok_or_else(|| {
-            let path = path.display();
-            Usage(format!("{path}: the extension chooses the format: json, bvh or npy"))
+        let mut formats = Self::value_variants().iter();
+        let found = formats.find(|format| extension.as_deref() == Some(format.extension()));
+        found.copied().ok_or_else(|| {
+            let (path, names) = (path.display(), Self::names());
+            Usage(format!("{path}: the extension chooses the format: {names}"))
         })
     }
 }
@@ -86,8 +120,8 @@ impl OutputArgs {
     /// The format of the one file to write.
     fn format_of(&self, output: &Path) -> Result<FileFormat, Usage> {
         if output.as_os_str() == STANDARD {
-            let problem = "--output - needs --format: json, bvh or npy";
-            return self.format.ok_or_else(|| Usage(problem.into()));
+            let problem = || Usage(format!("--output - needs --format: {}", FileFormat::names()));
+            return self.format.ok_or_else(problem);
         }
         let named = FileFormat::of(output)?;
         check_folder_of(output)?;
@@ -104,7 +138,7 @@ impl OutputArgs {
 
     /// One file for each song. Of two that would be written to one file, the first has it.
     fn targets_in(&self, folder: &Path, inputs: &[Input]) -> anyhow::Result<Vec<Target>> {
-        let format = self.format.unwrap_or(FileFormat::Bvh);
+        let format = self.format.unwrap_or(FileFormat::Motion(OutputFormat::Bvh));
         let mut songs: HashMap<PathBuf, &Path> = HashMap::new();
         let mut targets = Vec::with_capacity(inputs.len());
         for Input { path, below } in inputs {
@@ -139,14 +173,12 @@ impl OutputArgs {
         format: FileFormat,
         options: &RequestOptions,
     ) -> anyhow::Result<()> {
-        let format = match format {
-            FileFormat::Npy => return write_positions(path, &dance.positions),
-            FileFormat::Json => OutputFormat::Json,
-            FileFormat::Bvh => OutputFormat::Bvh,
+        let FileFormat::Motion(format) = format else {
+            return write_positions(path, &dance.positions);
         };
-        let json = JsonOptions { rotations: self.include_rotations, ..options.json() };
-        let bytes = format.write(dance, &json, options.bvh_unit());
-        write_file(path, bytes?)
+        let mut writing = options.writing();
+        writing.json.rotations = self.include_rotations;
+        write_file(path, format.write(dance, &writing)?)
     }
 }
 

@@ -10,13 +10,11 @@ pub(crate) use self::table::{OPTIONS, OptionSpec, Section};
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    formats::{BvhUnit, FormatError, GeneratedMotion, JsonOptions, OutputFormat},
+    formats::{FormatError, GeneratedMotion, JsonOptions, OutputFormat, WriteOptions},
 };
 
 /// Longest option value that is read, in bytes.
 pub(crate) const LONGEST_VALUE: usize = 256;
-/// Formats of later versions.
-const FORMATS_NOT_YET: [&str; 1] = ["glb"];
 
 /// An option that is not accepted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -39,12 +37,6 @@ impl OptionSpec {
     /// # Errors
     /// What was wrong and what is accepted.
     fn check(&self, text: &str) -> Result<(), String> {
-        if self.name == "format" && FORMATS_NOT_YET.contains(&text) {
-            return Err(format!(
-                "{text} is not available yet in this version, expected {}",
-                self.accepts
-            ));
-        }
         match text.len() <= LONGEST_VALUE && self.accepts.admits(text) {
             true => Ok(()),
             false => Err(format!("got {:?}, expected {}", shorten(text), self.accepts)),
@@ -74,19 +66,18 @@ impl RequestOptions {
         }
     }
 
-    /// How JSON is written.
+    /// Returns how a result is written.
     #[must_use]
-    pub fn json(&self) -> JsonOptions {
-        JsonOptions {
-            rotations: self.include.is_some(),
-            encoding: self.encoding.unwrap_or_default(),
+    pub fn writing(&self) -> WriteOptions {
+        WriteOptions {
+            json: JsonOptions {
+                rotations: self.include.is_some(),
+                encoding: self.encoding.unwrap_or_default(),
+            },
+            bvh_unit: self.bvh_unit.unwrap_or_default(),
+            skeleton: self.skeleton.unwrap_or_default(),
+            mannequin: self.mannequin.unwrap_or(true),
         }
-    }
-
-    /// Returns the unit of lengths in BVH.
-    #[must_use]
-    pub fn bvh_unit(&self) -> BvhUnit {
-        self.bvh_unit.unwrap_or_default()
     }
 
     /// The longest part of a song in seconds that these options ask for, if they say.
@@ -113,6 +104,8 @@ impl RequestOptions {
             include: other.include.or(self.include),
             encoding: other.encoding.or(self.encoding),
             bvh_unit: other.bvh_unit.or(self.bvh_unit),
+            skeleton: other.skeleton.or(self.skeleton),
+            mannequin: other.mannequin.or(self.mannequin),
             ..self.clone()
         })
     }
@@ -126,7 +119,7 @@ impl RequestOptions {
         dance: &GeneratedMotion,
         format: OutputFormat,
     ) -> Result<Vec<u8>, FormatError> {
-        format.write(dance, &self.json(), self.bvh_unit())
+        format.write(dance, &self.writing())
     }
 
     /// The engine's part of the options, for a result in `format`.
@@ -165,7 +158,7 @@ mod tests {
     use super::*;
     use crate::{
         engine::MAX_SEED,
-        formats::{Codes, Continuation, Encoding},
+        formats::{BvhUnit, Codes, Continuation, Encoding, TargetSkeleton},
         model::WindowKind,
     };
 
@@ -185,16 +178,24 @@ mod tests {
              &candidates=3&redo=false&start_upper=1&start_lower=2\
              &continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA&window=sliding&hop=15&offset_s=1.5\
              &duration_s=2e1&root_motion=false\
-             &music=true&include=rotations&encoding=base64&bvh_unit=m",
+             &music=true&include=rotations&encoding=base64&bvh_unit=m&skeleton=vrm\
+             &mannequin=false",
         )
         .unwrap();
         let (upper, lower) = (vec![1], vec![2]);
         let tail = Continuation::new("01234567", Codes { upper, lower }, [0.0; 2], 0.75);
         assert_eq!(options.given.len(), OPTIONS.len());
         assert_eq!(options.format, Some(OutputFormat::Bvh));
-        assert_eq!(options.encoding, Some(Encoding::Base64));
-        assert_eq!(options.bvh_unit, Some(BvhUnit::Metre));
-        assert!(options.json().rotations);
+        assert_eq!(
+            options.writing(),
+            WriteOptions {
+                json: JsonOptions { rotations: true, encoding: Encoding::Base64 },
+                bvh_unit: BvhUnit::Metre,
+                skeleton: TargetSkeleton::Vrm,
+                mannequin: false,
+            }
+        );
+        assert_eq!(RequestOptions::default().writing(), WriteOptions::default());
         assert_eq!(
             options.generation(OutputFormat::Bvh),
             GenerationOptions {
@@ -251,8 +252,8 @@ mod tests {
             ("seed=1&seed=1", "option `seed`: it was given more than once"),
             ("sede=1", "there is no such option; there are seed, temperature, top_k,"),
             ("continue_from=x", "expected the `tail` that came with an earlier dance"),
-            ("format=glb", "glb is not available yet in this version"),
-            ("format=mp4", "expected one of json, bvh"),
+            ("format=mp4", "expected one of json, bvh, glb, vrma, fbx, vmd, npz"),
+            ("skeleton=maya", "expected one of smpl, mixamo, vrm, unreal"),
             (&long, "1.."),
         ] {
             let problem = query(text).unwrap_err();

@@ -4,7 +4,7 @@
 use super::accepts::{Accepts, boolean};
 use crate::{
     engine::{GenerationOptions, MAX_CANDIDATES, MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
-    formats::{BvhUnit, Continuation, Encoding, OutputFormat},
+    formats::{BvhUnit, Continuation, Encoding, OutputFormat, TargetSkeleton},
     model::WindowKind,
     motion::FRAME_RATES,
 };
@@ -49,7 +49,7 @@ macro_rules! from_text {
     };
 }
 
-from_text! { f32 f64 u32 u64 usize BvhUnit Encoding OutputFormat Continuation }
+from_text! { f32 f64 u32 u64 usize BvhUnit Encoding OutputFormat TargetSkeleton Continuation }
 
 impl FromText for bool {
     fn from_text(text: &str) -> Option<Self> {
@@ -125,6 +125,17 @@ macro_rules! options {
     };
 }
 
+/// Names of all formats.
+const FORMATS: [&str; OutputFormat::ALL.len()] = {
+    let mut names = [""; OutputFormat::ALL.len()];
+    let mut index = 0;
+    while index < names.len() {
+        names[index] = OutputFormat::ALL[index].name();
+        index += 1;
+    }
+    names
+};
+
 const MODEL: &str = "the model's";
 const ANY_CODE: Accepts = Accepts::Integer(0, u32::MAX as u64);
 const ANY_COUNT: Accepts = Accepts::Integer(1, u32::MAX as u64);
@@ -173,9 +184,14 @@ options! {
             "How the JSON carries large arrays: `json` numbers, or `base64` of little-endian \
              float32.";
         bvh_unit: BvhUnit, Accepts::Words(&["cm", "m"]), "cm", "Unit of lengths in BVH.";
+        skeleton: TargetSkeleton, Accepts::Words(&["smpl", "mixamo", "vrm", "unreal"]), "smpl",
+            "Joint names, hierarchy, rest pose and bone axes of bvh, glb and fbx: the model's own \
+             (`smpl`), or a T-pose of Mixamo, VRM or the Unreal mannequin.";
+        mannequin: bool, Accepts::Boolean, "true",
+            "Whether glb carries a doll that dances; without it there are bones alone.";
     }
     HttpOutput {
-        format: OutputFormat, Accepts::Words(&["json", "bvh"]), "json",
+        format: OutputFormat, Accepts::Words(&FORMATS), "json",
             "Format of the result. Wins over the Accept header.";
         include: Include, Accepts::Words(&["rotations"]), "nothing",
             "What else the JSON carries: `rotations` adds local rotations and the root's path.";

@@ -79,6 +79,10 @@ macro_rules! errors {
                     $(Self::$busy { .. } => (StatusCode::$busy_status, $busy_kind),)+
                     $(Self::$name { .. } => (StatusCode::$status, $kind),)+
                     Self::Engine(error) => classify_generation(error),
+                    // The model's joints are not those that this format or skeleton needs.
+                    Self::Format(FormatError::Skeleton { .. } | FormatError::NoBone { .. }) => {
+                        (StatusCode::BAD_REQUEST, "invalid_option")
+                    }
                     Self::Format(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
                 }
             }

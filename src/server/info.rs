@@ -26,7 +26,7 @@ pub(crate) struct Info {
     /// All options of a generation.
     options: Vec<OptionInfo>,
     /// Formats of a result, the default first.
-    formats: [FormatInfo; 2],
+    formats: Vec<FormatInfo>,
     /// Audio that is accepted.
     #[schema(example = json!(["wav", "flac"]))]
     audio: Vec<&'static str>,
@@ -114,10 +114,12 @@ impl Info {
             model: ModelInfo::new(manifest, sha256),
             frame_rates: FRAME_RATES,
             options: options::describe(),
-            formats: OutputFormat::ALL.map(|format| FormatInfo {
-                name: format.name(),
-                content_type: format.content_type(),
-            }),
+            formats: OutputFormat::ALL
+                .map(|format| FormatInfo {
+                    name: format.name(),
+                    content_type: format.content_type(),
+                })
+                .to_vec(),
             audio: FORMATS.to_vec(),
             limits: Bounds {
                 memory_per_request_bytes: limits.memory_per_request(),

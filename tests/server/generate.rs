@@ -72,6 +72,8 @@ async fn an_explicit_format_wins_over_accept() {
         ("format=bvh", "application/json", bvh),
         ("format=json", bvh, "application/json"),
         ("format=bvh", "text/html", bvh),
+        ("", "model/gltf-binary", "model/gltf-binary"),
+        ("format=fbx", "text/html", "application/x-fbx"),
     ] {
         let answer = ask_accepting(raw(query, "song"), accept).await;
         assert_eq!(
@@ -80,17 +82,30 @@ async fn an_explicit_format_wins_over_accept() {
             "{query} {accept}"
         );
     }
-    let answer = ask_accepting(raw("", "song"), "model/gltf-binary").await;
+    let answer = ask_accepting(raw("", "song"), "video/mp4").await;
     answer.expect_error(406, "not_acceptable");
     let answer = ask_accepting(form("", &[("file", b"x"), ("format", b"bvh")]), "*/*").await;
     assert_eq!(answer.header("content-type"), bvh);
 }
 
 #[tokio::test]
-async fn bvh_is_a_file_with_a_name() {
+async fn bvh_and_glb_are_files_with_names() {
     let answer = ask(raw("format=bvh&seed=9", "song")).await;
     assert_eq!(answer.header("content-disposition"), "attachment; filename=\"dance-9.bvh\"");
     assert!(answer.body.starts_with(b"HIERARCHY"));
+    let answer = ask(raw("format=glb&seed=9", "song")).await;
+    assert_eq!(answer.header("content-disposition"), "attachment; filename=\"dance-9.glb\"");
+    assert!(answer.body.starts_with(b"glTF"));
+}
+
+/// The skeleton of these tests has three joints.
+#[tokio::test]
+async fn a_skeleton_that_the_model_cannot_be_is_a_wrong_option() {
+    let app = app(&Fake::new(), &Limits::default());
+    for query in ["format=bvh&skeleton=mixamo", "format=vrma", "format=vmd", "format=npz"] {
+        let said = refuse(&app, raw(query, "song"), 400, "invalid_option").await;
+        assert!(said.contains("the model's"), "{query}: {said}");
+    }
 }
 
 #[tokio::test]
@@ -137,7 +152,8 @@ async fn wrong_options_are_refused_before_any_work() {
     let app = app(&fake, &Limits::default());
     let wrong = "fps=25 seed=-1 temperature=hot top_k=0 guidance=-1 candidates=0 \
                  start_upper=512 window=wide hop=29 offset_s=-1 duration_s=0 root_motion=2 \
-                 include=all encoding=hex bvh_unit=inch continue_from=abc format=glb \
+                 include=all encoding=hex bvh_unit=inch continue_from=abc format=mp4 \
+                 skeleton=maya mannequin=2 \
                  no_such_option=1 seed=1&seed=2 seed seed=%FF";
     for query in wrong.split(' ') {
         let name = query.split('=').next().unwrap();

@@ -66,6 +66,8 @@ async fn a_job_is_ordered_asked_about_fetched_and_deleted() {
     let bvh = get(&app, &format!("{result}?format=bvh&bvh_unit=m")).await;
     assert!(bvh.body.starts_with(b"HIERARCHY"));
     assert_eq!(bvh.header("x-seed"), "4");
+    let glb = get(&app, &format!("{result}?format=glb&mannequin=false")).await;
+    assert!(glb.body.starts_with(b"glTF"));
     let another = get(&app, &format!("{result}?seed=5")).await;
     let said = another.expect_error(400, "invalid_option");
     assert!(said.contains("the motion exists already"), "{said}");

@@ -71,6 +71,27 @@ async fn every_container_becomes_json_and_bvh_of_its_length() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_song_becomes_every_format_on_every_skeleton() {
+    let service = service();
+    for (query, kind, start) in [
+        ("format=bvh&skeleton=mixamo", "application/x-bvh", &b"HIERARCHY\nROOT mixamorigHips"[..]),
+        ("format=bvh&skeleton=unreal", "application/x-bvh", b"HIERARCHY\nROOT root"),
+        ("format=glb&skeleton=vrm", "model/gltf-binary", b"glTF"),
+        ("format=vrma", "model/gltf-binary", b"glTF"),
+        ("format=fbx&skeleton=unreal", "application/x-fbx", b"Kaydara FBX Binary"),
+        ("format=vmd", "application/x-vmd", b"Vocaloid Motion Data 0002"),
+        ("format=npz", "application/x-npz", b"PK"),
+    ] {
+        let query = format!("seed=3&duration_s=2&{query}");
+        let answer = send(&service, raw(&query, song("demo.ogg"))).await;
+        assert_eq!((answer.status, answer.header("content-type")), (StatusCode::OK, kind));
+        assert!(answer.body.starts_with(start), "{query}");
+        let name = answer.header("content-disposition");
+        assert!(name.starts_with("attachment; filename=\"dance-3."), "{query}: {name}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_seed_repeats_and_another_differs() {
     let service = service();
     let ask = async |query: &str| {

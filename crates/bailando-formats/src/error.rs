@@ -19,6 +19,36 @@ pub enum FormatError {
     /// The motion contradicts itself, so that no file could be right.
     #[error("the dance can't be written: {0}")]
     Inconsistent(String),
+    /// The model's skeleton is not one that the target or the format knows.
+    #[error("the model's joint `{joint}` is not one of SMPL's 24, which `{target}` needs")]
+    Skeleton {
+        /// First joint that is unknown.
+        joint: String,
+        /// Target skeleton or format that was asked for.
+        target: &'static str,
+    },
+    /// The model's skeleton lacks a joint that the format must have.
+    #[error("the model's skeleton has no `{bone}`, without which there is no {format}")]
+    NoBone {
+        /// Bone or joint that is missing.
+        bone: String,
+        /// Name of the format.
+        format: &'static str,
+    },
+    /// A NumPy archive could not be written.
+    #[error("the result could not be written as npz: {0}")]
+    Npz(#[from] zip::result::ZipError),
+    /// The frame rate could not be changed to the format's own.
+    #[error("the frame rate could not be changed: {0}")]
+    Rate(#[from] bailando_motion::MotionError),
+    /// The motion is too long for the format's sizes.
+    #[error("the dance is too long for {format}: it would take {bytes} bytes")]
+    TooLong {
+        /// Name of the format.
+        format: &'static str,
+        /// Bytes that it would take.
+        bytes: u64,
+    },
     /// JSON could not be written.
     #[error("the result could not be written as JSON: {0}")]
     Json(#[from] serde_json::Error),

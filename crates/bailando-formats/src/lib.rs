@@ -1,4 +1,4 @@
-//! Generated motion as files: JSON and BVH.
+//! Generated motion as files: JSON, BVH, GLB, VRM animation, FBX, VMD and npz.
 //!
 //! ```
 //! use bailando_formats::{
@@ -36,6 +36,7 @@
 //! # Ok::<(), bailando_formats::FormatError>(())
 //! ```
 
+mod blob;
 mod bvh;
 mod codes;
 mod continuation;
@@ -43,20 +44,36 @@ mod decimal;
 mod error;
 mod euler;
 mod events;
+mod fbx;
+mod glb;
+mod gltf;
 mod json;
+mod keys;
+mod mannequin;
 mod motion;
+mod npz;
 mod numbers;
 mod output;
 mod pose;
+mod rig;
+mod target;
+mod vmd;
+mod vrma;
 
 pub use bailando_motion::PositionsSource;
-pub use bvh::{BvhUnit, to_bvh};
+pub use bvh::{BvhUnit, to_bvh, to_bvh_for};
 pub use codes::Codes;
 pub use continuation::Continuation;
 pub use error::FormatError;
 pub use events::{DoneJson, FramesJson, Start, StartJson, done_event, frames_event, start_event};
+pub use fbx::to_fbx;
+pub use glb::{GlbOptions, to_glb};
 pub use json::{JsonOptions, MotionJson, SkeletonJson, to_json};
 pub use motion::{GeneratedMotion, MusicInfo, Timings};
+pub use npz::to_npz;
 pub use numbers::Encoding;
-pub use output::OutputFormat;
+pub use output::{OutputFormat, WriteOptions};
 pub use pose::{CodePoseJson, pose_json};
+pub use target::TargetSkeleton;
+pub use vmd::to_vmd;
+pub use vrma::to_vrma;

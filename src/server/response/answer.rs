@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use bytes::Bytes;
 
 use crate::{
-    formats::{BvhUnit, GeneratedMotion, JsonOptions, OutputFormat},
+    formats::{GeneratedMotion, OutputFormat, WriteOptions},
     server::{
         blocking,
         error::ServerError,
@@ -38,7 +38,7 @@ impl Written {
         options: &RequestOptions,
         format: OutputFormat,
     ) -> Result<Arc<Self>, ServerError> {
-        let most = format.most_bytes(&dance, &options.json());
+        let most = format.most_bytes(&dance, &options.writing());
         let mut room = resources.reserve_response(client, most).await?;
         let options = options.clone();
         let write = move || {
@@ -63,7 +63,7 @@ impl Written {
 }
 
 /// How a dance is written: who asks for the same gets the same.
-type Shape = (OutputFormat, JsonOptions, BvhUnit);
+type Shape = (OutputFormat, WriteOptions);
 type Slot = Arc<tokio::sync::Mutex<Weak<Written>>>;
 
 /// What is being written of one dance, or was written and still has readers.
@@ -97,7 +97,7 @@ impl Answers {
         options: &RequestOptions,
         format: OutputFormat,
     ) -> Result<Arc<Written>, ServerError> {
-        let slot = self.slot((format, options.json(), options.bvh_unit()));
+        let slot = self.slot((format, options.writing()));
         let mut slot = slot.lock_owned().await;
         if let Some(written) = slot.upgrade() {
             return Ok(written);

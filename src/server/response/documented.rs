@@ -7,11 +7,14 @@ use utoipa::{
     openapi::{
         Content, ContentBuilder, Header, Ref, RefOr, Response, ResponseBuilder,
         header::HeaderBuilder,
-        schema::{ObjectBuilder, Type},
+        schema::{KnownFormat, ObjectBuilder, SchemaFormat, Type},
     },
 };
 
-use crate::{formats::MotionJson, server::error::ErrorBody};
+use crate::{
+    formats::{MotionJson, OutputFormat},
+    server::error::ErrorBody,
+};
 
 /// What each status means, on every route.
 fn about(status: u16) -> &'static str {
@@ -59,6 +62,13 @@ fn text() -> Content {
     ContentBuilder::new().schema(Some(schema)).build()
 }
 
+fn binary() -> Content {
+    let schema = ObjectBuilder::new()
+        .schema_type(Type::String)
+        .format(Some(SchemaFormat::KnownFormat(KnownFormat::Binary)));
+    ContentBuilder::new().schema(Some(schema.build())).build()
+}
+
 fn header(kind: Type, about: &str) -> Header {
     let minimum = matches!(kind, Type::Integer).then_some(0);
     let schema = ObjectBuilder::new().schema_type(kind).minimum(minimum);
@@ -91,7 +101,7 @@ const STREAM_HEADERS: usize = 6;
 fn success(
     about: &str,
     headers: usize,
-    contents: [(&str, Content); 2],
+    contents: impl IntoIterator<Item = (&'static str, Content)>,
 ) -> BTreeMap<String, RefOr<Response>> {
     let mut response = ResponseBuilder::new().description(about);
     for (kind, content) in contents {
@@ -108,9 +118,15 @@ pub(crate) struct MotionResponse;
 
 impl IntoResponses for MotionResponse {
     fn responses() -> BTreeMap<String, RefOr<Response>> {
-        let json = ("application/json", reference(&MotionJson::name()));
-        let bvh = ("application/x-bvh", text());
-        success("The motion.", HEADERS.len(), [json, bvh])
+        let contents = OutputFormat::ALL.map(|format| {
+            let content = match format {
+                OutputFormat::Json => reference(&MotionJson::name()),
+                OutputFormat::Bvh => text(),
+                _ => binary(),
+            };
+            (format.content_type(), content)
+        });
+        success("The motion.", HEADERS.len(), contents)
     }
 }
 

@@ -66,7 +66,12 @@ fn preferred(headers: &HeaderMap, ours: &[&str]) -> Result<usize, ServerError> {
         asked: shorten(
             headers.get(header::ACCEPT).and_then(|value| value.to_str().ok()).unwrap_or_default(),
         ),
-        available: ours.join(" and "),
+        available: {
+            // Two formats may have one type.
+            let mut types = ours.to_vec();
+            types.dedup();
+            types.join(", ")
+        },
     })
 }
 
@@ -136,7 +141,9 @@ mod tests {
         assert_eq!(accept("Application/JSON; q=0.3"), Some(OutputFormat::Json));
         assert_eq!(accept("text/html, */*;q=0.1"), Some(OutputFormat::Json));
         assert_eq!(accept("application/json;q=0, */*"), Some(OutputFormat::Bvh));
-        assert_eq!(accept("model/gltf-binary"), None);
+        assert_eq!(accept("model/gltf-binary"), Some(OutputFormat::Glb));
+        assert_eq!(accept("model/gltf-binary, application/json;q=0.9"), Some(OutputFormat::Glb));
+        assert_eq!(accept("video/mp4"), None);
         assert_eq!(accept("*/*;q=0"), None);
         let mut headers = HeaderMap::new();
         let both = format!("application/json;q=0.5, {bvh}");
@@ -146,6 +153,9 @@ mod tests {
         headers.insert(header::ACCEPT, HeaderValue::from_static("application/*"));
         let either = dance(&headers, OutputFormat::Bvh);
         assert_eq!(either.ok(), Some(OutputFormat::Bvh));
+        headers.insert(header::ACCEPT, HeaderValue::from_static("model/gltf-binary"));
+        let avatar = dance(&headers, OutputFormat::Vrma);
+        assert_eq!(avatar.ok(), Some(OutputFormat::Vrma));
     }
 
     #[test]

@@ -117,8 +117,9 @@ impl Rendered {
         }
         times(&mut headers, &self.timings);
         warnings::append(&mut headers, &self.warnings);
-        if self.format == OutputFormat::Bvh {
-            let name = format!("attachment; filename=\"dance-{}.bvh\"", self.seed);
+        if self.format != OutputFormat::Json {
+            let (seed, extension) = (self.seed, self.format.name());
+            let name = format!("attachment; filename=\"dance-{seed}.{extension}\"");
             if let Ok(name) = HeaderValue::try_from(name) {
                 headers.insert(header::CONTENT_DISPOSITION, name);
             }

@@ -9,12 +9,17 @@
 
 mod bvh;
 mod bvh_readers;
+mod fbx;
+mod glb;
+mod research;
+mod vmd;
 
 use bailando_formats::{
-    BvhUnit, Encoding, GeneratedMotion, JsonOptions, OutputFormat, to_bvh, to_json,
+    BvhUnit, Encoding, GeneratedMotion, JsonOptions, OutputFormat, TargetSkeleton, WriteOptions,
+    to_bvh, to_json,
 };
 use bailando_motion::FinishOptions;
-use bailando_testkit::motion::{dance_of, fixture};
+use bailando_testkit::motion::{dance_of, decoded_from, fixture, recordings};
 use base64::{Engine, engine::general_purpose::STANDARD};
 use serde_json::Value;
 
@@ -27,6 +32,23 @@ fn short(frames: usize) -> GeneratedMotion {
     let decoded = fixture("decode_raw.npy");
     let rows = decoded.slice_axis(ndarray::Axis(0), (..frames).into());
     dance_of(&rows.to_owned(), &FinishOptions::default())
+}
+
+/// Up to half a minute of three recordings of dancers, with their names; none without the shared
+/// data.
+fn recorded(fps: u32) -> Vec<(String, GeneratedMotion)> {
+    let Some(folder) = bailando_testkit::shared("data/salsa") else {
+        println!("skipped: this test needs the shared data");
+        return Vec::new();
+    };
+    let options = FinishOptions { fps, ..FinishOptions::default() };
+    let motion = |(path, positions): (std::path::PathBuf, ndarray::Array3<f32>)| {
+        let frames = positions.dim().0.min(1800);
+        let decoded =
+            decoded_from(&positions.slice_axis(ndarray::Axis(0), (..frames).into()).to_owned());
+        (path.file_stem().unwrap().display().to_string(), dance_of(&decoded, &options))
+    };
+    recordings(&folder).into_iter().take(3).map(motion).collect()
 }
 
 fn json(motion: &GeneratedMotion, options: JsonOptions) -> Value {
@@ -136,10 +158,46 @@ fn motions_that_contradict_themselves_are_refused() {
         let mut motion = short(3);
         spoil(&mut motion);
         for format in OutputFormat::ALL {
-            let written = format.write(&motion, &JsonOptions::default(), BvhUnit::default());
+            let written = format.write(&motion, &WriteOptions::default());
             let error = written.unwrap_err().to_string();
             assert!(error.contains(expected), "{error:?} should say {expected:?}");
         }
+    }
+}
+
+#[test]
+fn equal_motions_are_equal_files_of_no_more_than_was_reserved() {
+    let motion = motion(60);
+    for format in OutputFormat::ALL {
+        for skeleton in TargetSkeleton::ALL {
+            let options = WriteOptions { skeleton, ..WriteOptions::default() };
+            let file = format.write(&motion, &options).unwrap();
+            assert!(file == format.write(&motion.clone(), &options).unwrap(), "{format:?}");
+            let most = format.most_bytes(&motion, &options);
+            assert!(file.len() <= most, "{format:?}: {} of {most} bytes", file.len());
+        }
+    }
+}
+
+#[test]
+fn a_skeleton_of_other_joints_is_refused_where_names_matter() {
+    let mut motion = short(2);
+    motion.skeleton.joints[9] = "tail".into();
+    let options = WriteOptions { skeleton: TargetSkeleton::Mixamo, ..WriteOptions::default() };
+    for format in OutputFormat::ALL {
+        let own = format.write(&motion, &WriteOptions::default());
+        let needs_names = [OutputFormat::Vrma, OutputFormat::Vmd, OutputFormat::Npz];
+        assert_eq!(own.is_err(), needs_names.contains(&format), "{format:?}");
+        let mixamo = format.write(&motion, &options);
+        assert_eq!(mixamo.is_err(), format != OutputFormat::Json, "{format:?}");
+    }
+}
+
+#[test]
+fn a_motion_without_frames_is_a_file_without_movement() {
+    let motion = short(0);
+    for format in OutputFormat::ALL {
+        assert!(format.write(&motion, &WriteOptions::default()).is_ok(), "{format:?}");
     }
 }
 

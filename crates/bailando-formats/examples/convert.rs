@@ -1,0 +1,69 @@
+//! Writes a motion that was kept as JSON (with `include=rotations`) in another format:
+//! `cargo run -p bailando-formats --example convert -- dance.json dance.glb [mixamo]`.
+
+use std::{error::Error, time::Instant};
+
+use bailando_formats::{
+    Codes, GeneratedMotion, OutputFormat, PositionsSource, TargetSkeleton, Timings, WriteOptions,
+};
+use bailando_motion::{Animation, Skeleton, forward};
+use glam::{Quat, Vec3};
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+struct Kept {
+    model: String,
+    seed: u64,
+    fps: u32,
+    skeleton: Bones,
+    rotations: Vec<Vec<[f32; 4]>>,
+    root: Vec<[f32; 3]>,
+}
+
+#[derive(Deserialize)]
+struct Bones {
+    joints: Vec<String>,
+    parents: Vec<i32>,
+    offsets: Vec<[f32; 3]>,
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [from, to, ..] = arguments.as_slice() else {
+        return Err("usage: convert DANCE.json OUT.{bvh,glb,vrma,fbx,vmd,npz} [SKELETON]".into());
+    };
+    let skeleton: TargetSkeleton = arguments.get(2).map_or("smpl", String::as_str).parse()?;
+    let format: OutputFormat = to.rsplit('.').next().unwrap_or_default().parse()?;
+    let motion = motion(serde_json::from_slice(&std::fs::read(from)?)?)?;
+    let started = Instant::now();
+    let options = WriteOptions { skeleton, ..WriteOptions::default() };
+    let file = format.write(&motion, &options)?;
+    let taken = started.elapsed();
+    eprintln!("{to}: {} bytes in {:.1} ms", file.len(), taken.as_secs_f64() * 1e3);
+    Ok(std::fs::write(to, file)?)
+}
+
+fn motion(kept: Kept) -> Result<GeneratedMotion, Box<dyn Error>> {
+    let Bones { joints, parents, offsets } = kept.skeleton;
+    // The height at which a dance starts is not kept, and no format needs it.
+    let skeleton = Skeleton { joints, parents, offsets, root_height: 0.0 };
+    let turn = |q| Quat::from_array(q).normalize();
+    let animation = Animation {
+        fps: kept.fps,
+        root: kept.root.into_iter().map(Vec3::from).collect(),
+        rotations: kept.rotations.into_iter().map(|f| f.into_iter().map(turn).collect()).collect(),
+    };
+    Ok(GeneratedMotion {
+        model: kept.model,
+        seed: kept.seed,
+        positions: forward(&skeleton, &animation)?,
+        skeleton,
+        animation,
+        positions_source: PositionsSource::ForwardKinematics,
+        codes: Codes::default(),
+        music: None,
+        timings: Timings::default(),
+        warnings: Vec::new(),
+        continuation: None,
+    })
+}
