@@ -115,6 +115,7 @@ impl Harness {
             }),
             beats: asked.beats,
             tempo_bpm: None,
+            seconds: None,
             warnings: Vec::new(),
         };
         let request = AcceptedRequest {
