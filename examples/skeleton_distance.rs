@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 use bailando::{
     engine::{Engine, EngineConfig, GenerationOptions, GenerationRequest},
     formats::GeneratedMotion,
-    motion::forward,
+    motion::{PositionsSource, forward},
 };
 
 fn main() -> Result<()> {
@@ -22,7 +22,12 @@ fn main() -> Result<()> {
     let engine = Engine::open(&EngineConfig::new("models/default"))?;
     let (mut as_written, mut root_fixed) = (Distances::default(), Distances::default());
     for seed in 0..seeds {
-        let options = GenerationOptions { seed: Some(seed), ..GenerationOptions::default() };
+        let options = GenerationOptions {
+            seed: Some(seed),
+            clean: false,
+            positions: PositionsSource::Decoder,
+            ..GenerationOptions::default()
+        };
         let output = engine.generate(GenerationRequest::audio(audio.clone(), options))?;
         let dance = output.into_motion(engine.manifest());
         measure(&dance, &mut as_written, &mut root_fixed)?;

@@ -69,8 +69,8 @@ struct RowsArgs {
         value_name = "F.npy",
         conflicts_with_all = [
             "output", "out_dir", "include_rotations", "encoding", "bvh_unit", "skeleton",
-            "mannequin", "offset_s", "duration_s", "fps", "root_motion", "music",
-            "max_audio_seconds", "candidates",
+            "mannequin", "offset_s", "duration_s", "fps", "root_motion", "clean", "positions",
+            "music", "max_audio_seconds", "candidates",
         ]
     )]
     features: Option<PathBuf>,

@@ -14,6 +14,11 @@ const BLEND_FRAMES: usize = 32;
 pub(crate) struct ChunkDecoder {
     /// Codes of the motion that this one continues.
     prompt: Vec<[u32; 2]>,
+    /// Frames of the prompt's last code that were shown before, where the first chunk begins with
+    /// that code.
+    shown: usize,
+    /// Frames that are wanted; all if none.
+    length: Option<usize>,
     /// Frames so far.
     decoded: usize,
     to_world: ToWorld,
@@ -26,7 +31,31 @@ pub(crate) struct ChunkDecoder {
 impl ChunkDecoder {
     /// Before the first chunk after the codes of `prompt`.
     pub(crate) fn new(prompt: Vec<[u32; 2]>, to_world: ToWorld) -> Self {
-        Self { prompt, decoded: 0, to_world, offset: Vec::new(), walked: [0.0; 2] }
+        Self {
+            prompt,
+            shown: 0,
+            length: None,
+            decoded: 0,
+            to_world,
+            offset: Vec::new(),
+            walked: [0.0; 2],
+        }
+    }
+
+    /// With a first chunk that begins with the prompt's last code, of which `shown` frames were
+    /// shown before; of no code if that is zero.
+    pub(crate) fn resuming(self, shown: usize) -> Self {
+        Self { shown, ..self }
+    }
+
+    /// Ends after `length` frames: what the codes give beyond is cut.
+    pub(crate) fn ending_after(self, length: Option<usize>) -> Self {
+        Self { length, ..self }
+    }
+
+    /// Frames so far.
+    pub(crate) fn frames(&self) -> usize {
+        self.decoded
     }
 
     /// How far the root has come, x and z in metres, and its heading in radians.
@@ -42,10 +71,13 @@ impl ChunkDecoder {
     ) -> Result<Array2<f32>, EngineError> {
         let mut kept = decoder.decode(&chunk.codes)?;
         let per_code = kept.nrows() / chunk.codes.len().max(1);
-        let keep = chunk.before * per_code..(chunk.before + chunk.length) * per_code;
-        kept.slice_axis_inplace(Axis(0), Slice::from(keep));
-        if self.decoded == 0 && !self.prompt.is_empty() {
-            self.offset = self.offset_to(&kept, decoder)?;
+        let is_first = self.decoded == 0;
+        let first = chunk.before * per_code + if is_first { self.shown } else { 0 };
+        let wanted = self.length.map_or(usize::MAX, |length| length - self.decoded);
+        let end = ((chunk.before + chunk.length) * per_code).min(first.saturating_add(wanted));
+        kept.slice_axis_inplace(Axis(0), Slice::from(first..end));
+        if is_first && !self.prompt.is_empty() && kept.nrows() > 0 {
+            self.offset = self.offset_to(&kept, per_code, decoder)?;
         }
         self.blend(&mut kept);
         let motion = self.to_world.push(kept)?;
@@ -58,15 +90,17 @@ impl ChunkDecoder {
         Ok(motion)
     }
 
-    /// The prompt's last pose less the first one of `motion`: the prompt decoded alone ends as the
-    /// earlier motion did.
+    /// The last pose shown of the prompt less the first one of `motion`: the prompt decoded alone
+    /// ends as the earlier motion did.
     fn offset_to(
         &self,
         motion: &Array2<f32>,
+        per_code: usize,
         decoder: &mut dyn MotionDecoder,
     ) -> Result<Vec<f32>, EngineError> {
         let before = decoder.decode(&self.prompt)?;
-        let last = before.row(before.nrows() - 1);
+        let unshown = if self.shown == 0 { 0 } else { per_code - self.shown };
+        let last = before.row(before.nrows() - 1 - unshown);
         let pairs = last.iter().zip(motion.row(0));
         Ok(pairs.map(|(last, first)| last - first).collect())
     }

@@ -4,9 +4,9 @@
 /// Codes decoded per chunk besides the overlap, which is a sixth of the work then; memory does not
 /// grow with the song.
 pub(crate) const CHUNK_CODES: usize = 256;
-/// Codes of a stream's first chunk, a little more than the floor's lookahead; each further chunk is
-/// twice as long.
-const FIRST_CHUNK: usize = 24;
+/// Codes of a stream's first chunk, a little more than floor and clean-up look ahead; each further
+/// chunk is twice as long.
+const FIRST_CHUNK: usize = 32;
 /// Codes of the last chunk of a motion that is wanted whole, up to twice as many: all others are
 /// decoded while the model still chooses codes, and during the last one it has nothing left to do.
 const LAST_CHUNK: usize = 96;
@@ -121,7 +121,7 @@ mod tests {
     #[test]
     fn the_first_chunk_of_a_stream_is_small() {
         assert_eq!(lengths(plan(20).soon()), [20]);
-        assert_eq!(lengths(plan(228).soon()), [24, 48, 96, 60]);
+        assert_eq!(lengths(plan(228).soon()), [32, 64, 128, 4]);
     }
 
     #[test]

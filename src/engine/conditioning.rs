@@ -20,6 +20,8 @@ pub(crate) struct Conditioning {
     pub(crate) beats: Vec<usize>,
     /// Beats per minute, where beats were tracked; 0 when none were found.
     pub(crate) tempo_bpm: Option<f64>,
+    /// Seconds of audio that are danced to; none for feature rows.
+    pub(crate) seconds: Option<f64>,
     /// What was trimmed, truncated or assumed about the audio.
     pub(crate) warnings: Vec<String>,
 }
@@ -41,6 +43,7 @@ impl Conditioning {
                 tempo_bpm: beats.as_ref().map(|beats| beats.tempo_bpm),
                 // Rows of beats and motion frames have one rate, which manifests are checked for.
                 beats: beats.map_or_else(Vec::new, |beats| beats.frames),
+                seconds: None,
                 warnings: Vec::new(),
             });
         };
@@ -55,6 +58,18 @@ impl Conditioning {
             tempo_bpm: self.tempo_bpm?,
             beats_s: beats.map(|&frame| frame as f64 / a_second).collect(),
         })
+    }
+
+    /// Counts time from the frame `lead` on, which is where the motion begins: the frames before it
+    /// belong to the motion that it continues.
+    pub(crate) fn music_info_from(&self, lead: usize) -> Option<MusicInfo> {
+        let mut info = self.music_info()?;
+        let lead_s = lead as f64 / Rate::Beats.rows_per_second();
+        info.beats_s.retain_mut(|beat| {
+            *beat -= lead_s;
+            *beat >= 0.0
+        });
+        Some(info)
     }
 
     /// Makes room for the prompt: its code stands before the first row, which the model is never

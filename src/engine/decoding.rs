@@ -37,6 +37,8 @@ pub(crate) struct Prologue {
     pub(crate) seed: u64,
     pub(crate) prompt: Prompt,
     pub(crate) root_motion: bool,
+    /// Frames of decoded motion that are wanted, once the length of the song is known.
+    pub(crate) length: Option<usize>,
     pub(crate) music: Option<MusicInfo>,
     pub(crate) timings: Timings,
     pub(crate) warnings: Vec<String>,
@@ -56,6 +58,7 @@ impl Prologue {
             seed,
             prompt: Prompt::of(options),
             root_motion: options.root_motion,
+            length: None,
             music: None,
             timings: Timings::default(),
             warnings: Vec::new(),
@@ -85,11 +88,13 @@ pub(crate) struct MotionBuffer {
 
 impl MotionBuffer {
     pub(crate) fn new(prologue: Prologue, sink: MotionSink, progress: Arc<dyn Progress>) -> Self {
-        let Prompt { codes, heading, .. } = &prologue.prompt;
+        let Prompt { codes, heading, shown, .. } = &prologue.prompt;
         let frame = prologue.directory.manifest().motion_frame;
         let to_world = ToWorld::new(frame, f64::from(*heading));
         Self {
-            chunks: ChunkDecoder::new(codes.clone(), to_world),
+            chunks: ChunkDecoder::new(codes.clone(), to_world)
+                .resuming(*shown)
+                .ending_after(prologue.length),
             sink,
             prologue,
             progress,
@@ -125,6 +130,7 @@ impl MotionBuffer {
         let prologue = &mut self.prologue;
         prologue.timings.queue += last.queued;
         prologue.timings.inference = self.decoded - last.started;
+        let mut seam = None;
         let motion = match &mut self.sink {
             MotionSink::Stream(_) => MotionOutput::Streamed,
             MotionSink::Keep(kept) => MotionOutput::Decoded(std::mem::take(kept)),
@@ -132,11 +138,12 @@ impl MotionBuffer {
                 let mut took = Duration::ZERO;
                 let finished = spent(&mut took, "motion", || finisher.end());
                 prologue.timings.motion += took;
+                seam = finisher.seam();
                 MotionOutput::Finished(finished?)
             }
         };
         let (walked, heading) = self.chunks.end();
-        let ending = Ending { walked, heading: heading as f32 };
+        let ending = Ending { walked, heading: heading as f32, frames: self.chunks.frames() };
         let codes = &last.codes;
         let prompt = &prologue.prompt;
         let tail = prompt.tail(codes, ending, prologue.root_motion, &prologue.directory);
@@ -147,7 +154,7 @@ impl MotionBuffer {
             music: prologue.music.take(),
             timings: prologue.timings,
             warnings: std::mem::take(&mut prologue.warnings),
-            tail,
+            tail: tail.map(|tail| tail.with_seam(seam)),
         })
     }
 }

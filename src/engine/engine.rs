@@ -147,6 +147,7 @@ impl Engine {
             features: Array2::zeros((3, self.manifest().features.columns)),
             beats: vec![4, 12, 20],
             tempo_bpm: None,
+            seconds: None,
             warnings: Vec::new(),
         };
         let (completion, generation) = Completion::new();

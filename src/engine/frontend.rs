@@ -70,7 +70,8 @@ impl AudioFrontend {
             let rates = &rates[..1 + usize::from(with_beats)];
             self.decode(audio, selection.range, rates, cancel)
         })?;
-        progress.decoded(audio.duration_s);
+        let seconds = audio.duration_s;
+        progress.decoded(seconds);
         progress.stage(Stage::Features);
         let conditioning =
             spent(&mut timings.features, "features", || self.features(audio.signals, cancel))?;
@@ -78,7 +79,7 @@ impl AudioFrontend {
         if with_beats && conditioning.beats.is_empty() {
             warnings.push("no beats were found in the audio: the dance follows none".to_owned());
         }
-        Ok(Conditioning { warnings, ..conditioning })
+        Ok(Conditioning { warnings, seconds: Some(seconds), ..conditioning })
     }
 
     /// Decodes a song within the processor time for it.

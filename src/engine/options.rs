@@ -10,7 +10,7 @@ use crate::{
     audio::AudioRange,
     formats::Continuation,
     model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, Vocabulary, WindowKind},
-    motion,
+    motion::{self, PositionsSource},
 };
 
 /// What a caller may choose about a generation (API.md). `None` means the manifest's default.
@@ -49,6 +49,10 @@ pub struct GenerationOptions {
     pub fps: u32,
     /// Whether the dancer travels; `false` holds x and z of the root at 0 and keeps y.
     pub root_motion: bool,
+    /// Whether the motion is cleaned: feet held in place, joints within their limits, no jitter.
+    pub clean: bool,
+    /// Where positions come from; the decoder's own exist at its frame rate and without clean-up.
+    pub positions: PositionsSource,
     /// Whether to find the music's tempo and beats.
     pub music: bool,
 }
@@ -89,6 +93,8 @@ impl Default for GenerationOptions {
             range: AudioRange::default(),
             fps: 60,
             root_motion: true,
+            clean: true,
+            positions: PositionsSource::ForwardKinematics,
             music: false,
         }
     }
@@ -125,10 +131,19 @@ impl GenerationOptions {
         self.check_sampling(manifest)?;
         self.check_batch(manifest, batch)?;
         self.check_start(manifest.vocabulary)?;
-        self.check_tail(manifest.vocabulary)?;
+        self.check_tail(manifest)?;
         if !motion::FRAME_RATES.contains(&self.fps) {
             let rates = motion::FRAME_RATES.map(|rate| rate.to_string()).join(", ");
             return refuse("fps", format!("{} is not one of {rates}", self.fps));
+        }
+        let is_decoded = self.fps == manifest.fps && !self.clean;
+        if self.positions == PositionsSource::Decoder && !is_decoded {
+            let fps = manifest.fps;
+            let problem = format!(
+                "the decoder's own positions exist at {fps} frames a second and without clean-up: \
+                 choose fps={fps} and clean=false, or positions=fk"
+            );
+            return refuse("positions", problem);
         }
         check_range(self.range)
     }
@@ -210,10 +225,12 @@ impl GenerationOptions {
     }
 
     /// Codes of a tail must be the model's, and leave no choice of others.
-    fn check_tail(&self, vocabulary: Vocabulary) -> Result<(), EngineError> {
+    fn check_tail(&self, manifest: &Manifest) -> Result<(), EngineError> {
+        let vocabulary = manifest.vocabulary;
         let Some(tail) = &self.continue_from else {
             return Ok(());
         };
+        let joints = manifest.skeleton.joints.len();
         let known = |half: &[u32], codes: usize| half.iter().all(|&code| (code as usize) < codes);
         let problem = if self.start_upper.is_some() || self.start_lower.is_some() {
             "start_upper and start_lower say something else: give either"
@@ -223,6 +240,10 @@ impl GenerationOptions {
             || !known(&tail.codes.lower, vocabulary.lower)
         {
             "it holds a pose code that this model does not have"
+        } else if usize::from(tail.shown) >= manifest.frames_per_code {
+            "it ends beyond its last pose code"
+        } else if tail.seam.as_ref().is_some_and(|seam| seam.rotations.len() != joints) {
+            "its pose has other joints than this model"
         } else {
             return Ok(());
         };

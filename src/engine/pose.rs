@@ -5,7 +5,7 @@ use ndarray::{Axis, Slice};
 use super::{EngineError, code_model::SharedDecoder};
 use crate::{
     model::Manifest,
-    motion::{self, FinishOptions, Positions},
+    motion::{self, FinishOptions, Positions, PositionsSource},
 };
 
 /// How often a pair is repeated, and how many of these are shown: those in the middle, far from
@@ -23,8 +23,14 @@ pub(crate) fn pose(
     let motion = manifest.motion_frame.into_world(decoded)?;
     let first = (repeats - shown) / 2 * manifest.frames_per_code;
     let middle = Slice::from(first..first + shown * manifest.frames_per_code);
-    let options =
-        FinishOptions { root_motion: false, decoded_fps: manifest.fps, ..FinishOptions::default() };
+    let options = FinishOptions {
+        fps: manifest.fps,
+        root_motion: false,
+        decoded_fps: manifest.fps,
+        clean: false,
+        positions: PositionsSource::Decoder,
+        ..FinishOptions::default()
+    };
     let middle = motion.slice_axis(Axis(0), middle);
     Ok(motion::finish(middle, &manifest.skeleton, &options)?.positions)
 }

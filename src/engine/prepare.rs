@@ -16,8 +16,9 @@ use super::{
     sequence::SequenceRequest,
 };
 use crate::{
-    model::ModelDirectory,
-    motion::{FinishOptions, Finisher, PositionsSource},
+    audio::AudioRange,
+    model::{Manifest, ModelDirectory},
+    motion::{FinishOptions, Finisher},
 };
 
 /// A request whose options were checked.
@@ -61,8 +62,9 @@ impl Preparer {
         let AudioRequest { audio, mut request } = audio;
         let manifest = self.directory.manifest();
         let options = &request.options;
+        let lead = lead(&request, manifest);
         let selection = Selection {
-            range: options.range,
+            range: from_lead(options.range, lead, manifest.fps),
             beats: options.music || options.candidates(manifest, self.rows) > 1,
         };
         let cancel = request.completion.token();
@@ -73,13 +75,21 @@ impl Preparer {
         let mut conditioning = frontend.condition(audio, selection, &cancel, progress, timings)?;
         request.prologue.warnings = std::mem::take(&mut conditioning.warnings);
         if options.music {
-            request.prologue.music = conditioning.music_info();
+            request.prologue.music = conditioning.music_info_from(lead);
+        }
+        request.prologue.length = conditioning.seconds.map(|seconds| {
+            let seconds = seconds - lead as f64 / f64::from(manifest.fps);
+            decoded_length(seconds, options.fps, manifest.fps)
+        });
+        // The row of the prompt's last code is there where its music is.
+        if lead == 0 && !request.prologue.prompt.codes.is_empty() {
+            conditioning = conditioning.after_prompt(manifest.frames_per_code);
         }
         let sink = match request.stream.take() {
             None => {
-                let options = finish_options(&request, self.directory.manifest().fps);
-                let skeleton = &manifest.skeleton;
-                MotionSink::Finish(Box::new(Finisher::whole(skeleton, &options)?))
+                let options = finish_options(&request, manifest.fps);
+                let finisher = Finisher::whole(&manifest.skeleton, &options)?;
+                MotionSink::Finish(Box::new(joined(finisher, &request)?))
             }
             Some(stream) => self.open_stream(stream, &request, &conditioning)?,
         };
@@ -105,9 +115,13 @@ impl Preparer {
     /// [`EngineError::QueueFull`].
     pub(crate) fn schedule_conditioned(
         &self,
-        conditioning: Conditioning,
+        mut conditioning: Conditioning,
         mut request: AcceptedRequest,
     ) -> Result<(), EngineError> {
+        if !request.prologue.prompt.codes.is_empty() {
+            let per_code = self.directory.manifest().frames_per_code;
+            conditioning = conditioning.after_prompt(per_code);
+        }
         let sink = match request.stream.take() {
             None => MotionSink::Keep(Array2::default((0, 0))),
             Some(stream) => self.open_stream(stream, &request, &conditioning)?,
@@ -124,15 +138,12 @@ impl Preparer {
         request.progress.stage(Stage::Generating);
         let manifest = self.directory.manifest();
         let prompt = request.prologue.prompt.codes.clone();
-        let conditioning = match prompt.is_empty() {
-            true => conditioning,
-            false => conditioning.after_prompt(manifest.frames_per_code),
-        };
         let seed = request.prologue.seed;
         let sequence = SequenceRequest {
             conditioning,
             params: request.options.resolve(manifest, self.rows, seed),
             prompt,
+            resumes: request.prologue.prompt.shown > 0,
             progress: Arc::clone(&request.progress),
             soon: matches!(sink, MotionSink::Stream(_)),
         };
@@ -152,36 +163,95 @@ impl Preparer {
         request: &AcceptedRequest,
         conditioning: &Conditioning,
     ) -> Result<MotionSink, EngineError> {
-        let rows = conditioning.features.nrows();
         let manifest = self.directory.manifest();
         let finish = finish_options(request, manifest.fps);
-        let decoded = (rows * manifest.frames_per_code) as u64;
-        let frames = (decoded * u64::from(finish.fps)).div_ceil(u64::from(finish.decoded_fps));
         let prologue = &request.prologue;
+        let rows = conditioning.features.nrows() - prologue.prompt.given();
+        let unshown = manifest.frames_per_code - prologue.prompt.shown;
+        let all = rows * manifest.frames_per_code + unshown % manifest.frames_per_code;
+        let decoded = prologue.length.map_or(all, |length| length.min(all)) as u64;
+        let frames = (decoded * u64::from(finish.fps)).div_ceil(u64::from(finish.decoded_fps));
         stream.opened(Opening {
             model: manifest.name.clone(),
             seed: prologue.seed,
             skeleton: manifest.skeleton.clone(),
             fps: finish.fps,
             frames: frames as usize,
-            positions_source: match finish.fps == finish.decoded_fps {
-                true => PositionsSource::Decoder,
-                false => PositionsSource::ForwardKinematics,
-            },
+            positions_source: finish.positions,
             music: prologue.music.clone(),
             timings: prologue.timings,
             warnings: prologue.warnings.clone(),
-            finisher: Finisher::new(&manifest.skeleton, &finish)?,
+            finisher: joined(Finisher::new(&manifest.skeleton, &finish)?, request)?,
         });
         Ok(MotionSink::Stream(stream))
     }
 }
 
 fn finish_options(request: &AcceptedRequest, decoded_fps: u32) -> FinishOptions {
+    let options = &request.options;
     FinishOptions {
-        fps: request.options.fps,
-        root_motion: request.options.root_motion,
+        fps: options.fps,
+        root_motion: options.root_motion,
         decoded_fps,
         start: request.prologue.prompt.place,
+        clean: options.clean,
+        positions: options.positions,
+    }
+}
+
+/// The finisher, beginning where the motion before ended.
+fn joined(finisher: Finisher, request: &AcceptedRequest) -> Result<Finisher, EngineError> {
+    match &request.prologue.prompt.seam {
+        Some(seam) => Ok(finisher.continuing(seam.clone())?),
+        None => Ok(finisher),
+    }
+}
+
+/// Frames of the prompt's last code whose music lies before the part of the song that is wanted;
+/// 0 where the song does not reach back to them.
+fn lead(request: &AcceptedRequest, manifest: &Manifest) -> usize {
+    let shown = request.prologue.prompt.shown;
+    let seconds = shown as f64 / f64::from(manifest.fps);
+    if request.options.range.offset_s < seconds { 0 } else { shown }
+}
+
+/// The range from so many frames before it.
+fn from_lead(range: AudioRange, lead: usize, fps: u32) -> AudioRange {
+    let seconds = lead as f64 / f64::from(fps);
+    AudioRange {
+        offset_s: range.offset_s - seconds,
+        duration_s: range.duration_s.map(|duration| duration + seconds),
+    }
+}
+
+/// Frames to decode for `round(seconds * fps)` frames at `fps`: so many that interpolation between
+/// them gives no frame more.
+fn decoded_length(seconds: f64, fps: u32, decoded_fps: u32) -> usize {
+    let frames = (seconds * f64::from(fps)).round().max(1.0) as u64;
+    (frames * u64::from(decoded_fps) / u64::from(fps)) as usize
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::motion::FRAME_RATES;
+
+    #[test]
+    fn the_length_is_that_of_the_music_to_the_frame_at_every_rate() {
+        for fps in FRAME_RATES {
+            for hundredths in 100..3000 {
+                let seconds = f64::from(hundredths) / 100.0;
+                let decoded = decoded_length(seconds, fps, 60) as u64;
+                let frames = (decoded * u64::from(fps)).div_ceil(60);
+                assert_eq!(frames, (seconds * f64::from(fps)).round() as u64, "{seconds} at {fps}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_lead_moves_the_start_and_keeps_the_end() {
+        let range = AudioRange { offset_s: 2.0, duration_s: Some(3.0) };
+        let AudioRange { offset_s, duration_s } = from_lead(range, 6, 60);
+        assert!((offset_s - 1.9).abs() < 1e-12 && (duration_s.unwrap() - 3.1).abs() < 1e-12);
     }
 }

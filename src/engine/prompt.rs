@@ -1,9 +1,10 @@
 //! Where a motion begins and ends on the floor, and what a later one must know to continue it.
 
-use super::{GenerationOptions, codes::halves};
+use super::{GenerationOptions, codes::halves, conditioning::PROMPT_CODES};
 use crate::{
     formats::Continuation,
     model::{ModelDirectory, code_pairs},
+    motion::Seam,
 };
 
 /// Most pose codes in a tail, so that it fits into the value of an option.
@@ -20,6 +21,11 @@ pub(crate) struct Prompt {
     pub(crate) place: [f32; 2],
     /// Heading of the first pose, radians about +y from +z.
     pub(crate) heading: f32,
+    /// Frames of the last code that were shown, where the earlier motion ended inside it: the new
+    /// one begins with the others. 0: all of them.
+    pub(crate) shown: usize,
+    /// Pose and speed of the first frame, as the earlier motion would have gone on.
+    pub(crate) seam: Option<Seam>,
 }
 
 /// Where a motion has come to.
@@ -29,6 +35,8 @@ pub(crate) struct Ending {
     pub(crate) walked: [f32; 2],
     /// Heading of the next pose, radians about +y from +z.
     pub(crate) heading: f32,
+    /// Frames of the motion.
+    pub(crate) frames: usize,
 }
 
 impl Prompt {
@@ -42,7 +50,14 @@ impl Prompt {
                 .unwrap_or_else(|_| unreachable!("the options were checked")),
             place: tail.position,
             heading: tail.heading,
+            shown: tail.shown.into(),
+            seam: tail.seam.clone(),
         }
+    }
+
+    /// Codes that the new motion is given.
+    pub(crate) fn given(&self) -> usize {
+        if self.codes.is_empty() { 0 } else { PROMPT_CODES }
     }
 
     /// What a motion after this one's `codes` must know; none if a tail cannot hold the codes of
@@ -60,10 +75,12 @@ impl Prompt {
             return None;
         }
         let count = (manifest.decoder.receptive_codes + 1).min(LONGEST_TAIL);
-        let codes = halves(&self.last_codes(codes, count));
+        let (codes, shown) = self.shown_codes(codes, ending.frames, manifest.frames_per_code);
+        let codes = halves(&codes[codes.len().saturating_sub(count)..]);
         let place = self.place_after(ending.walked, root_motion);
         let sha256 = directory.manifest_sha256();
-        let tail = Continuation::new(sha256, codes, place, ending.heading);
+        let mut tail = Continuation::new(sha256, codes, place, ending.heading);
+        tail.shown = u8::try_from(shown).ok()?;
         tail.is_readable().then_some(tail)
     }
 
@@ -74,11 +91,19 @@ impl Prompt {
         }
     }
 
-    /// The last `count` codes, those of the prompt included where there are fewer new ones.
-    fn last_codes(&self, codes: &[[u32; 2]], count: usize) -> Vec<[u32; 2]> {
-        let length = self.codes.len() + codes.len();
-        let all = self.codes.iter().chain(codes);
-        all.skip(length.saturating_sub(count)).copied().collect()
+    /// The codes of the prompt and the new ones up to the last of which a motion of so many frames
+    /// shows something, and how many frames of that one it shows; 0 for all.
+    fn shown_codes(
+        &self,
+        codes: &[[u32; 2]],
+        frames: usize,
+        per_code: usize,
+    ) -> (Vec<[u32; 2]>, usize) {
+        let frames = self.shown + frames;
+        // The prompt's last code counts where the motion began inside it.
+        let before = self.codes.len() - usize::from(self.shown > 0);
+        let all = self.codes.iter().chain(codes).copied();
+        (all.take(before + frames.div_ceil(per_code)).collect(), frames % per_code)
     }
 }
 
@@ -94,11 +119,20 @@ mod tests {
     }
 
     #[test]
-    fn a_short_motion_leaves_the_codes_before_it_as_well() {
+    fn a_motion_ends_inside_a_code_and_the_next_one_begins_there() {
         let before = Prompt { codes: vec![[1, 101], [2, 102]], ..Prompt::default() };
-        let last = |count| before.last_codes(&[[3, 103], [4, 104]], count);
-        assert_eq!(last(3), [[2, 102], [3, 103], [4, 104]]);
-        assert_eq!(last(1), [[4, 104]]);
-        assert_eq!(last(9), [[1, 101], [2, 102], [3, 103], [4, 104]]);
+        let new = [[3, 103], [4, 104]];
+        let shown = |prompt: &Prompt, frames| {
+            let (codes, shown) = prompt.shown_codes(&new, frames, 8);
+            (codes.last().copied().unwrap()[0], codes.len(), shown)
+        };
+        assert_eq!(shown(&before, 16), (4, 4, 0));
+        assert_eq!(shown(&before, 11), (4, 4, 3));
+        assert_eq!(shown(&before, 8), (3, 3, 0));
+        // Three frames of the prompt's last code were shown: five are left of it.
+        let inside = Prompt { shown: 3, ..before };
+        assert_eq!(shown(&inside, 5), (2, 2, 0));
+        assert_eq!(shown(&inside, 2), (2, 2, 5));
+        assert_eq!(shown(&inside, 14), (4, 4, 1));
     }
 }

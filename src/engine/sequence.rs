@@ -27,6 +27,8 @@ pub(crate) struct SequenceRequest {
     /// Codes that the sequence continues. The last of them is given as its first code: it stands
     /// before the first row of music, and is no part of the result.
     pub(crate) prompt: Vec<[u32; 2]>,
+    /// Whether the motion begins inside the prompt's last code, which is decoded again then.
+    pub(crate) resumes: bool,
     pub(crate) progress: Arc<dyn Progress>,
     /// Whether the first frames are wanted soon.
     pub(crate) soon: bool,
@@ -48,6 +50,14 @@ impl SequenceRequest {
         match self.has_a_choice() {
             true => self.params.candidates,
             false => 1,
+        }
+    }
+
+    /// Committed codes that the motion does not begin with.
+    fn undecoded(&self) -> usize {
+        match self.resumes {
+            true => 0,
+            false => self.given(),
         }
     }
 
@@ -97,9 +107,13 @@ impl Sequence {
         let pairs = &manifest.start_codes;
         let drawn = start_codes(params.start, pairs, &drawable, &mut sampler);
         let first = request.prompt.last().copied().unwrap_or(drawn);
-        let total = request.conditioning.features.nrows() - request.given();
+        let total = request.conditioning.features.nrows() - request.undecoded();
         let receptive = manifest.decoder.receptive_codes;
-        let plan = ChunkPlan::new(total, request.prompt.clone(), receptive);
+        let mut prompt = request.prompt.clone();
+        if request.resumes {
+            prompt.pop();
+        }
+        let plan = ChunkPlan::new(total, prompt, receptive);
         let mut sequence = Self {
             guidance: ClassifierFreeGuidance::new(
                 params.guidance,
@@ -333,8 +347,7 @@ impl Sequence {
 
     /// The next chunk of codes that can be decoded.
     pub(crate) fn next_chunk(&mut self) -> Option<Chunk> {
-        let own = &self.committed[self.request.given()..];
-        self.plan.next(own)
+        self.plan.next(&self.committed[self.request.undecoded()..])
     }
 
     /// The codes of the whole sequence, once there are no more chunks.

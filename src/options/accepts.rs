@@ -58,7 +58,7 @@ impl Accepts {
             Self::Number(most) => of(Type::Number).minimum(Some(0)).maximum(Some(most)),
             Self::PositiveNumber => of(Type::Number).exclusive_minimum(Some(0)),
             Self::Boolean => of(Type::Boolean),
-            Self::Tail => of(Type::String).pattern(Some("^[A-Za-z0-9_-]{28,256}$")),
+            Self::Tail => of(Type::String).pattern(Some("^[A-Za-z0-9_-]{31,1024}$")),
         }
         .build()
     }

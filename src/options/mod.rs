@@ -5,16 +5,19 @@ mod accepts;
 mod args;
 mod table;
 
+use self::table::PositionsOption;
 pub use self::table::RequestOptions;
 pub(crate) use self::table::{OPTIONS, OptionSpec, Section};
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
-    formats::{FormatError, GeneratedMotion, JsonOptions, OutputFormat, WriteOptions},
+    formats::{
+        FormatError, GeneratedMotion, JsonOptions, OutputFormat, PositionsSource, WriteOptions,
+    },
 };
 
 /// Longest option value that is read, in bytes.
-pub(crate) const LONGEST_VALUE: usize = 256;
+pub(crate) const LONGEST_VALUE: usize = 1024;
 
 /// An option that is not accepted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -126,6 +129,7 @@ impl RequestOptions {
     #[must_use]
     pub fn generation(&self, format: OutputFormat) -> GenerationOptions {
         let sampling = self.sampling();
+        let positions = self.positions.map_or(sampling.positions, |PositionsOption(from)| from);
         GenerationOptions {
             range: AudioRange {
                 offset_s: self.offset_s.unwrap_or_default(),
@@ -133,6 +137,9 @@ impl RequestOptions {
             },
             fps: self.fps.unwrap_or(sampling.fps),
             root_motion: self.root_motion.unwrap_or(sampling.root_motion),
+            // The decoder's own positions are as decoded.
+            clean: self.clean.unwrap_or(positions != PositionsSource::Decoder),
+            positions,
             music: self.music.unwrap_or(format == OutputFormat::Json),
             ..sampling
         }
@@ -176,8 +183,8 @@ mod tests {
         let options = query(
             "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5\
              &candidates=3&redo=false&start_upper=1&start_lower=2\
-             &continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA&window=sliding&hop=15&offset_s=1.5\
-             &duration_s=2e1&root_motion=false\
+             &continue_from=AgEjRWcAAABAPwAAAAAAAAAAAAEAAgA&window=sliding&hop=15&offset_s=1.5\
+             &duration_s=2e1&root_motion=false&clean=false&positions=decoder\
              &music=true&include=rotations&encoding=base64&bvh_unit=m&skeleton=vrm\
              &mannequin=false",
         )
@@ -213,6 +220,8 @@ mod tests {
                 range: AudioRange { offset_s: 1.5, duration_s: Some(20.0) },
                 fps: 24,
                 root_motion: false,
+                clean: false,
+                positions: PositionsSource::Decoder,
                 music: true,
             }
         );
@@ -225,6 +234,19 @@ mod tests {
         assert!(!options.generation(OutputFormat::Bvh).music);
         let options = query("music=false").unwrap();
         assert!(!options.generation(OutputFormat::Json).music);
+    }
+
+    #[test]
+    fn motion_is_clean_unless_it_is_the_decoders() {
+        let made = |text: &str| {
+            let options = query(text).unwrap().generation(OutputFormat::Json);
+            (options.clean, options.positions)
+        };
+        assert_eq!(made(""), (true, PositionsSource::ForwardKinematics));
+        assert_eq!(made("clean=false&positions=fk"), (false, PositionsSource::ForwardKinematics));
+        assert_eq!(made("positions=decoder"), (false, PositionsSource::Decoder));
+        // Which the engine refuses.
+        assert_eq!(made("positions=decoder&clean=true"), (true, PositionsSource::Decoder));
     }
 
     #[test]
@@ -248,6 +270,8 @@ mod tests {
             ("duration_s=0", "expected a number above 0"),
             ("duration_s=inf", "option `duration_s`"),
             ("root_motion=maybe", "expected true or false"),
+            ("clean=maybe", "expected true or false"),
+            ("positions=raw", "expected one of fk, decoder"),
             ("include=everything", "expected rotations"),
             ("seed=1&seed=1", "option `seed`: it was given more than once"),
             ("sede=1", "there is no such option; there are seed, temperature, top_k,"),

@@ -4,7 +4,7 @@
 use super::accepts::{Accepts, boolean};
 use crate::{
     engine::{GenerationOptions, MAX_CANDIDATES, MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
-    formats::{BvhUnit, Continuation, Encoding, OutputFormat, TargetSkeleton},
+    formats::{BvhUnit, Continuation, Encoding, OutputFormat, PositionsSource, TargetSkeleton},
     model::WindowKind,
     motion::FRAME_RATES,
 };
@@ -76,6 +76,20 @@ pub(crate) enum Include {
 impl FromText for Include {
     fn from_text(text: &str) -> Option<Self> {
         (text == "rotations").then_some(Self::Rotations)
+    }
+}
+
+/// The value of `positions`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct PositionsOption(pub(crate) PositionsSource);
+
+impl FromText for PositionsOption {
+    fn from_text(text: &str) -> Option<Self> {
+        match text {
+            "fk" => Some(Self(PositionsSource::ForwardKinematics)),
+            "decoder" => Some(Self(PositionsSource::Decoder)),
+            _ => None,
+        }
     }
 }
 
@@ -176,6 +190,12 @@ options! {
         fps: u32, Accepts::IntegerOf(&FRAME_RATES), "60", "Frames per second.";
         root_motion: bool, Accepts::Boolean, "true",
             "Whether the dancer travels; false holds x and z of the root at 0 and keeps y.";
+        clean: bool, Accepts::Boolean, "true, false with positions=decoder",
+            "Whether to clean the motion: feet are held in place and above the floor, joints kept \
+             within their limits, hands outside of the body, and jitter is removed.";
+        positions: PositionsOption, Accepts::Words(&["fk", "decoder"]), "fk",
+            "Where positions come from: `fk`, forward kinematics of the rotations that all formats \
+             carry, or `decoder`, the decoder's own, at 60 frames a second and without clean-up.";
         music: bool, Accepts::Boolean, "true for json, else false",
             "Whether to find the music's tempo and beats.";
     }

@@ -1,6 +1,6 @@
 //! A motion as the metrics see it: 24 SMPL joints, 60 frames a second, metres, y up.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use ndarray::ArrayView3;
 
 use crate::error::EvaluationError;
@@ -29,6 +29,7 @@ pub(crate) mod joint {
     pub(crate) const L_TOES: usize = 10;
     pub(crate) const R_TOES: usize = 11;
     pub(crate) const NECK: usize = 12;
+    pub(crate) const HEAD: usize = 15;
     pub(crate) const L_SHOULDER: usize = 16;
     pub(crate) const R_SHOULDER: usize = 17;
     pub(crate) const L_ELBOW: usize = 18;
@@ -42,12 +43,28 @@ pub(crate) const JOINT_NAMES: &str = "pelvis l_hip r_hip spine1 l_knee r_knee sp
     r_ankle spine3 l_foot r_foot neck l_collar r_collar head l_shoulder r_shoulder l_elbow r_elbow \
     l_wrist r_wrist l_hand r_hand";
 
+/// A motion as rotations on a skeleton of SMPL joints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SkeletalMotion {
+    /// Parent of each joint; the root's is itself.
+    pub(crate) parents: [usize; JOINTS],
+    /// Offset of each joint from its parent, metres.
+    pub(crate) offsets: [DVec3; JOINTS],
+    /// Place of the root in every frame, metres.
+    pub(crate) root: Vec<DVec3>,
+    /// Local rotations in every frame.
+    pub(crate) local: Vec<[DQuat; JOINTS]>,
+    /// Largest change of a rotation channel from one frame to the next, degrees.
+    pub(crate) channel_jump: f64,
+}
+
 /// One motion of a set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Motion {
     name: String,
     poses: Vec<Pose>,
     codes: Option<[Vec<u32>; 2]>,
+    skeletal: Option<SkeletalMotion>,
 }
 
 impl Motion {
@@ -59,7 +76,7 @@ impl Motion {
     pub fn new(name: &str, positions: ArrayView3<'_, f32>) -> Result<Self, EvaluationError> {
         let poses = poses(positions)
             .map_err(|problem| EvaluationError::Motion { name: name.to_owned(), problem })?;
-        Ok(Self { name: name.to_owned(), poses, codes: None })
+        Ok(Self { name: name.to_owned(), poses, codes: None, skeletal: None })
     }
 
     /// Adds the pose codes (upper, lower) that the motion was decoded from.
@@ -67,6 +84,18 @@ impl Motion {
     pub fn with_codes(mut self, codes: [Vec<u32>; 2]) -> Self {
         self.codes = Some(codes);
         self
+    }
+
+    /// Adds the rotations that the positions are made of.
+    #[must_use]
+    pub fn with_rotations(mut self, skeletal: SkeletalMotion) -> Self {
+        self.skeletal = Some(skeletal);
+        self
+    }
+
+    /// Rotations on a skeleton, where the file has them.
+    pub(crate) const fn skeletal(&self) -> Option<&SkeletalMotion> {
+        self.skeletal.as_ref()
     }
 
     /// Its name: a generated motion's is the id of its piece.

@@ -20,12 +20,13 @@ mod report;
 mod run;
 mod scores;
 mod sets;
+mod skeletal;
 mod study;
 #[cfg(test)]
 mod testing;
 
 pub use beats::{BeatScore, speed};
-pub use body::{FRAMES_PER_SECOND, JOINTS, Motion, Pose};
+pub use body::{FRAMES_PER_SECOND, JOINTS, Motion, Pose, SkeletalMotion};
 pub use clips::Clips;
 pub use distance::{Standard, diversity, frechet_distance};
 pub use error::EvaluationError;

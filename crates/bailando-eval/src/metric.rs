@@ -60,6 +60,18 @@ metrics! {
     FootSkate "foot_skate" "foot skate, cm/s" Low 2
     "Physical foot contact score of EDGE: acceleration while both feet slide."
     FootContact "pfc" "physical foot contact (PFC)" Low 3
+    "Lowest point of a sole in all motions, cm; of files with rotations, as those below."
+    LowestFoot "lowest_foot" "lowest point of a foot, cm" High 2
+    "Share of frames in which a forearm twists by more than 360 degrees a second."
+    FastTwist "fast_twist" "share of forearms twisting beyond 360°/s" Low 4
+    "Share of frames in which an elbow is bent beyond 150 degrees."
+    FoldedElbows "folded_elbows" "share of elbows beyond 150°" Low 4
+    "Share of frames in which a wrist is inside the head."
+    WristInHead "wrist_in_head" "share of wrists inside the head" Low 4
+    "Largest error of a joint when every other frame is interpolated, cm."
+    HalfRateError "half_rate_error" "largest half-rate error, cm" Low 2
+    "Largest change of a rotation channel from frame to frame, degrees."
+    ChannelJump "channel_jump" "largest channel jump, degrees a frame" Low 1
     "Share of 2 s windows that a training take has, too."
     Recitation "recitation" "recited share of 2 s windows" Low 4
     "Different codes of the upper body in all pieces."

@@ -19,6 +19,7 @@ use crate::{
     music::MusicBeats,
     recitation::TrainingTakes,
     sets::MotionSet,
+    skeletal::SkeletalQuality,
 };
 use bailando_motion::dance_beats;
 
@@ -155,6 +156,7 @@ impl Evaluator {
         let mut scores = self.reference.measure(name, set)?;
         let motions = set.motions();
         score_quality(&mut scores, &motions);
+        score_rotations(&mut scores, &motions);
         if let Some(beats) = &self.beats {
             score_beats(&mut scores, set, beats, self.seed);
         }
@@ -188,6 +190,28 @@ fn score_quality(scores: &mut Scores, motions: &[&Motion]) {
         scores.set(Metric::SluggishWindows, sluggish as f64 / windows as f64);
         let slowest = each.iter().map(|quality| quality.slowest_window);
         scores.set(Metric::SlowestWindow, slowest.fold(0.0, f64::max));
+    }
+}
+
+/// Scores rotations where every motion has them.
+fn score_rotations(scores: &mut Scores, motions: &[&Motion]) {
+    let each = motions.iter().map(|motion| motion.skeletal().map(SkeletalQuality::new));
+    let Some(each) = each.collect::<Option<Vec<_>>>() else {
+        return;
+    };
+    let means: [Mean<SkeletalQuality>; 3] = [
+        (Metric::FastTwist, |q| Some(q.fast_twist)),
+        (Metric::FoldedElbows, |q| Some(q.folded_elbows)),
+        (Metric::WristInHead, |q| Some(q.wrist_in_head)),
+    ];
+    set_means(scores, &each, &means);
+    let worst = |value: fn(&SkeletalQuality) -> f64| each.iter().map(value).reduce(f64::max);
+    for (metric, worst) in [
+        (Metric::LowestFoot, worst(|q| -q.lowest_foot).map(|depth| -depth)),
+        (Metric::HalfRateError, worst(|q| q.half_rate_error)),
+        (Metric::ChannelJump, worst(|q| q.channel_jump)),
+    ] {
+        worst.into_iter().for_each(|value| scores.set(metric, value));
     }
 }
 

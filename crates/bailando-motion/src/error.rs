@@ -28,4 +28,13 @@ pub enum MotionError {
         /// Frame rate that was asked for.
         got: u32,
     },
+    /// The decoder's own positions are wanted of a motion that is not its own.
+    #[error(
+        "the decoder's own positions are available at {decoded_fps} frames a second and without \
+         clean-up only"
+    )]
+    DecoderPositions {
+        /// Frames per second of the decoder's output.
+        decoded_fps: u32,
+    },
 }

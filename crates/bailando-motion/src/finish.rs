@@ -1,10 +1,12 @@
-//! From the decoder's output to a finished motion: root, rotations, legs, frame rate, floor.
+//! From the decoder's output to a finished motion: root, rotations, legs, floor, clean-up, frame
+//! rate.
 
 use ndarray::{ArrayView2, Axis};
 use serde::Serialize;
 
 use crate::{
     animation::{Animation, FrameQueue, Positions},
+    clean::Cleaner,
     error::MotionError,
     floor::lower_foot_heights,
     floor_tracker::FloorTracker,
@@ -13,13 +15,14 @@ use crate::{
     legs::{LegFitter, Legs},
     resample::Resampler,
     root::integrate_from,
+    seam::{Seam, SeamBlend},
     skeleton::Skeleton,
 };
 
 /// Frames that [`finish_while`] finishes between two questions.
 const PIECE: usize = 1024;
 
-/// Frame rate, start and travel of a finished motion.
+/// What is made of a decoder's output.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FinishOptions {
     /// Frames per second wanted: one of [`crate::FRAME_RATES`].
@@ -30,11 +33,22 @@ pub struct FinishOptions {
     pub decoded_fps: u32,
     /// Where the root starts: x and z in metres.
     pub start: [f32; 2],
+    /// Whether feet are held in place, joints kept within their limits and jitter removed.
+    pub clean: bool,
+    /// Where positions come from. The decoder's own need its frame rate, and no clean-up.
+    pub positions: PositionsSource,
 }
 
 impl Default for FinishOptions {
     fn default() -> Self {
-        Self { fps: 60, root_motion: true, decoded_fps: 60, start: [0.0; 2] }
+        Self {
+            fps: 60,
+            root_motion: true,
+            decoded_fps: 60,
+            start: [0.0; 2],
+            clean: true,
+            positions: PositionsSource::ForwardKinematics,
+        }
     }
 }
 
@@ -43,9 +57,9 @@ impl Default for FinishOptions {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum PositionsSource {
-    /// The decoder's own positions, at its own frame rate.
+    /// The decoder's own positions, at its own frame rate and without clean-up.
     Decoder,
-    /// Forward kinematics of resampled rotations.
+    /// Forward kinematics of the motion's rotations.
     ForwardKinematics,
 }
 
@@ -65,12 +79,13 @@ pub struct Finished {
 /// relative to the root, metres).
 ///
 /// The root starts at the skeleton's `root_height`, inverse kinematics finds the rotations, the
-/// legs are bent to the decoder's feet, slow vertical drift is removed, and the frame rate is
-/// changed where another is wanted.
+/// legs are bent to the decoder's feet, slow vertical drift is removed, the motion is cleaned, and
+/// the frame rate is changed where another is wanted.
 ///
 /// # Errors
-/// [`MotionError::FrameRate`] for a rate that is not offered, [`MotionError::Shape`] if the columns
-/// are not the skeleton's, [`MotionError::NotFinite`] for a NaN or an infinity.
+/// [`MotionError::FrameRate`] for a rate that is not offered, [`MotionError::DecoderPositions`] for
+/// the decoder's own positions of another motion than its own, [`MotionError::Shape`] if the
+/// columns are not the skeleton's, [`MotionError::NotFinite`] for a NaN or an infinity.
 pub fn finish(
     decoded: ArrayView2<'_, f32>,
     skeleton: &Skeleton,
@@ -110,9 +125,14 @@ pub struct Finisher {
     solver: InverseKinematics,
     solution: Solution,
     legs: LegFitter,
+    grounded: Grounding<Animation>,
+    cleaner: Option<Cleaner>,
     resampler: Resampler,
-    animation: Grounding<Animation>,
-    /// The decoder's own positions, where they have the wanted frame rate.
+    /// Joins the motion to one that it continues.
+    seam: Option<SeamBlend>,
+    /// The last two frames released.
+    last: Animation,
+    /// The decoder's own positions, where they are wanted.
     decoder: Option<Grounding<Positions>>,
 }
 
@@ -125,13 +145,14 @@ struct Grounding<T> {
 }
 
 impl Finisher {
-    /// Creates a finisher that releases each frame as soon as its floor is settled, 2.5 s after it
-    /// came in: heights differ from those of the whole motion by a few centimetres at most.
+    /// Creates a finisher that releases each frame as soon as it is settled, 4 s after it came in
+    /// (3 s without clean-up): heights differ from those of the whole motion by a few centimetres
+    /// at most, and feet stand as far apart.
     ///
     /// # Errors
     /// As [`finish`].
     pub fn new(skeleton: &Skeleton, options: &FinishOptions) -> Result<Self, MotionError> {
-        Self::with_floor(skeleton, options, FloorTracker::streaming(options.fps))
+        Self::with_floor(skeleton, options, FloorTracker::streaming(options.decoded_fps))
     }
 
     /// Creates a finisher that releases the whole motion at its end.
@@ -139,7 +160,7 @@ impl Finisher {
     /// # Errors
     /// As [`Finisher::new`].
     pub fn whole(skeleton: &Skeleton, options: &FinishOptions) -> Result<Self, MotionError> {
-        Self::with_floor(skeleton, options, FloorTracker::whole(options.fps))
+        Self::with_floor(skeleton, options, FloorTracker::whole(options.decoded_fps))
     }
 
     fn with_floor(
@@ -147,21 +168,54 @@ impl Finisher {
         options: &FinishOptions,
         floor: FloorTracker,
     ) -> Result<Self, MotionError> {
+        let FinishOptions { fps, decoded_fps, clean, positions, start: [x, z], .. } = *options;
+        let from_decoder = positions == PositionsSource::Decoder;
+        if from_decoder && (clean || fps != decoded_fps) {
+            return Err(MotionError::DecoderPositions { decoded_fps });
+        }
         let solver = InverseKinematics::new(skeleton)?;
-        let [x, z] = options.start;
-        let decoder = (options.fps == options.decoded_fps)
-            .then(|| Grounding::new(floor.clone(), Positions::zeros((0, 0, 3))));
+        let decoder =
+            from_decoder.then(|| Grounding::new(floor.clone(), Positions::zeros((0, 0, 3))));
         Ok(Self {
-            skeleton: skeleton.clone(),
             options: *options,
             root: [x, skeleton.root_height, z],
-            solution: solver.start(options.decoded_fps),
+            solution: solver.start(decoded_fps),
             solver,
-            legs: Legs::new(skeleton).fit(options.decoded_fps),
-            resampler: Resampler::new(options.decoded_fps, options.fps)?,
-            animation: Grounding::new(floor, Animation::empty(options.fps)),
+            legs: Legs::new(skeleton).fit(decoded_fps),
+            grounded: Grounding::new(floor, Animation::empty(decoded_fps)),
+            cleaner: clean.then(|| Cleaner::new(skeleton, decoded_fps, false)),
+            resampler: Resampler::new(decoded_fps, fps)?,
+            seam: None,
+            last: Animation::empty(fps),
+            skeleton: skeleton.clone(),
             decoder,
         })
+    }
+
+    /// Begins where another motion ended, with its pose and speed; asked for before the first
+    /// [`Finisher::push`]. The decoder's own positions stay as they are.
+    ///
+    /// # Errors
+    /// [`MotionError::Shape`] if the seam has other joints.
+    pub fn continuing(mut self, seam: Seam) -> Result<Self, MotionError> {
+        let (joints, fps) = (self.skeleton.joints.len(), self.options.decoded_fps);
+        if [seam.rotations.len(), seam.spins.len()] != [joints; 2] {
+            return Err(MotionError::Shape {
+                expected: format!("a seam of {joints} joints"),
+                got: format!("{} rotations, {} spins", seam.rotations.len(), seam.spins.len()),
+            });
+        }
+        self.seam = Some(SeamBlend::new(seam, fps));
+        self.cleaner = self.cleaner.map(|_| Cleaner::new(&self.skeleton, fps, true));
+        Ok(self)
+    }
+
+    /// Returns where the motion would go on from the last frame released; none before the second.
+    #[must_use]
+    pub fn seam(&self) -> Option<Seam> {
+        let Animation { fps, root, rotations } = &self.last;
+        let [before, last] = [root.len().checked_sub(2)?, root.len() - 1];
+        Some(Seam::after([before, last].map(|frame| (root[frame], &rotations[frame][..])), *fps))
     }
 
     /// Takes the next rows of decoded motion `[frames, 3 joints]`; returns the frames that are
@@ -174,13 +228,20 @@ impl Finisher {
         let decoded = integrate_from(decoded, &mut self.root)?;
         let solved = self.solver.continue_from(&mut self.solution, &decoded)?;
         let fitted = self.legs.push(solved, &decoded);
-        let resampled = self.resampler.push(fitted);
-        self.ground(resampled)?;
+        self.ground(fitted)?;
         if let Some(decoder) = &mut self.decoder {
             let heights = lower_foot_heights(&decoded, &self.skeleton);
             decoder.push(decoded, heights);
         }
-        self.release()
+        let mut settled = self.settled();
+        if let Some(seam) = &mut self.seam {
+            settled = seam.push(settled);
+        }
+        if let Some(cleaner) = &mut self.cleaner {
+            settled = cleaner.push(settled);
+        }
+        let resampled = self.resampler.push(settled);
+        self.release(resampled)
     }
 
     /// Returns the rest of the motion.
@@ -189,46 +250,58 @@ impl Finisher {
     /// As [`Finisher::push`].
     pub fn end(&mut self) -> Result<Finished, MotionError> {
         let fitted = self.legs.end();
-        let mut resampled = self.resampler.push(fitted);
-        resampled.push_frames(self.resampler.end());
-        self.ground(resampled)?;
-        self.animation.end();
+        self.ground(fitted)?;
+        self.grounded.end();
         if let Some(decoder) = &mut self.decoder {
             decoder.end();
         }
-        self.release()
+        let mut settled = self.settled();
+        if let Some(seam) = &mut self.seam {
+            settled = seam.push(settled);
+            settled.push_frames(seam.end());
+        }
+        if let Some(cleaner) = &mut self.cleaner {
+            settled = cleaner.push(settled);
+            settled.push_frames(cleaner.end());
+        }
+        let mut resampled = self.resampler.push(settled);
+        resampled.push_frames(self.resampler.end());
+        self.release(resampled)
     }
 
     /// Stands the skeleton on the floor by its own feet. They are where the decoder's are, but for
     /// legs that cannot reach, so this is the decoder's correction to within millimetres.
-    fn ground(&mut self, mut resampled: Animation) -> Result<(), MotionError> {
-        if !self.options.root_motion {
-            for root in &mut resampled.root {
-                (root.x, root.z) = (0.0, 0.0);
-            }
-        }
-        let heights = lower_foot_heights(&forward(&self.skeleton, &resampled)?, &self.skeleton);
-        self.animation.push(resampled, heights);
+    fn ground(&mut self, fitted: Animation) -> Result<(), MotionError> {
+        let heights = lower_foot_heights(&forward(&self.skeleton, &fitted)?, &self.skeleton);
+        self.grounded.push(fitted, heights);
         Ok(())
     }
 
-    /// Releases the frames whose floor is settled for rotations and positions.
-    fn release(&mut self) -> Result<Finished, MotionError> {
-        let settled = self.animation.lifts.len();
-        let Some(decoder) = &mut self.decoder else {
-            let animation = self.animation.release(settled);
-            return Ok(Finished {
-                positions: forward(&self.skeleton, &animation)?,
-                animation,
-                source: PositionsSource::ForwardKinematics,
-            });
+    /// Returns the frames whose floor is settled, for rotations and positions alike.
+    fn settled(&mut self) -> Animation {
+        let settled = self.grounded.lifts.len();
+        let positions = self.decoder.as_ref().map_or(settled, |decoder| decoder.lifts.len());
+        self.grounded.release(settled.min(positions))
+    }
+
+    /// Releases the next frames.
+    fn release(&mut self, mut animation: Animation) -> Result<Finished, MotionError> {
+        if !self.options.root_motion {
+            for root in &mut animation.root {
+                (root.x, root.z) = (0.0, 0.0);
+            }
+        }
+        let count = animation.root.len();
+        for frame in count.saturating_sub(2)..count {
+            self.last.root.push(animation.root[frame]);
+            self.last.rotations.push(animation.rotations[frame].clone());
+        }
+        self.last.take_frames(self.last.root.len().saturating_sub(2));
+        let positions = match &mut self.decoder {
+            None => forward(&self.skeleton, &animation)?,
+            Some(decoder) => decoder.release(count, self.options.root_motion),
         };
-        let count = settled.min(decoder.lifts.len());
-        Ok(Finished {
-            animation: self.animation.release(count),
-            positions: decoder.release(count, self.options.root_motion),
-            source: PositionsSource::Decoder,
-        })
+        Ok(Finished { animation, positions, source: self.options.positions })
     }
 }
 
@@ -282,11 +355,16 @@ mod tests {
     #[test]
     fn a_whole_motion_is_not_copied_at_every_push() {
         let skeleton = Skeleton::fixture();
-        let mut finisher = Finisher::whole(&skeleton, &FinishOptions::default()).unwrap();
+        let options = FinishOptions {
+            clean: false,
+            positions: PositionsSource::Decoder,
+            ..FinishOptions::default()
+        };
+        let mut finisher = Finisher::whole(&skeleton, &options).unwrap();
         let rows = ndarray::Array2::zeros((8, 72));
         let buffers = |finisher: &Finisher| {
             let decoder = finisher.decoder.as_ref().unwrap();
-            (decoder.frames.as_ptr(), finisher.animation.frames.root.as_ptr())
+            (decoder.frames.as_ptr(), finisher.grounded.frames.root.as_ptr())
         };
         let (mut moved, mut before) = ((0, 0), buffers(&finisher));
         for _ in 0..256 {

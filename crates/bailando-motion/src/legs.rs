@@ -7,7 +7,7 @@ use crate::{
     animation::{Animation, FrameQueue, Positions},
     leg::{Leg, LegPose},
     skeleton::Skeleton,
-    smooth::smooth_upper_bound,
+    smooth::{smooth_step, smooth_upper_bound},
 };
 
 /// A leg carries all of its weight while its foot is within the first of these of the lower foot's
@@ -108,8 +108,7 @@ impl LegFitter {
 /// 1 for a foot as low as the lower one, 0 for one well above it, smooth between.
 fn weight_carried(above_lower: f64) -> f64 {
     let (full, none) = STANDING;
-    let part = ((none - above_lower) / (none - full)).clamp(0.0, 1.0);
-    part * part * (3.0 - 2.0 * part)
+    smooth_step((none - above_lower) / (none - full))
 }
 
 #[cfg(test)]

@@ -26,6 +26,7 @@
 
 mod animation;
 mod beats;
+mod clean;
 mod error;
 mod finish;
 mod fit;
@@ -39,6 +40,7 @@ mod leg;
 mod legs;
 mod resample;
 mod root;
+mod seam;
 mod skeleton;
 mod smooth;
 mod two_bones;
@@ -56,4 +58,5 @@ pub use heading::{headings, to_dancer_frame, to_world_frame};
 pub use inverse::InverseKinematics;
 pub use resample::{FRAME_RATES, resample};
 pub use root::integrate_root;
+pub use seam::Seam;
 pub use skeleton::Skeleton;

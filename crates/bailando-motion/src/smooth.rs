@@ -1,4 +1,6 @@
-//! A smooth curve above a jagged one.
+//! Smooth curves: above a jagged one, and from one value to another.
+
+use glam::DVec3;
 
 /// Returns a curve nowhere below `values`, free of jumps, that departs from zero at most `2 *
 /// half_width` samples away from where `values` do: the largest value near each sample, averaged
@@ -7,21 +9,39 @@ pub(crate) fn smooth_upper_bound(values: &[f64], half_width: usize) -> Vec<f64> 
     if values.iter().all(|&value| value == 0.0) {
         return values.to_vec();
     }
+    (0..values.len()).map(|index| smooth_upper_bound_at(values, half_width, index)).collect()
+}
+
+/// Returns the sample `index` of [`smooth_upper_bound`], which depends on the `2 * half_width`
+/// values on either side of it.
+pub(crate) fn smooth_upper_bound_at(values: &[f64], half_width: usize, index: usize) -> f64 {
     let near = |index: usize| {
         let end = values.len().min(index + half_width + 1);
         index.saturating_sub(half_width)..end
     };
     let highest_near = |index| values[near(index)].iter().copied().fold(f64::MIN, f64::max);
-    let highest: Vec<f64> = (0..values.len()).map(highest_near).collect();
-    let averaged = |index: usize| {
-        let weighted = near(index).map(|other| {
-            let weight = (half_width + 1 - other.abs_diff(index)) as f64;
-            (weight, weight * highest[other])
-        });
-        let (weight, sum) = weighted.fold((0.0, 0.0), |(w, s), (a, b)| (w + a, s + b));
-        sum / weight
-    };
-    (0..values.len()).map(averaged).collect()
+    let weighted = near(index).map(|other| {
+        let weight = (half_width + 1 - other.abs_diff(index)) as f64;
+        (weight, weight * highest_near(other))
+    });
+    let (weight, sum) = weighted.fold((0.0, 0.0), |(w, s), (a, b)| (w + a, s + b));
+    sum / weight
+}
+
+/// Returns the cubic from one value and rate a frame to another in `length` frames, at frame `at`.
+pub(crate) fn hermite(from: (DVec3, DVec3), to: (DVec3, DVec3), at: f64, length: f64) -> DVec3 {
+    let t = at / length;
+    let (t2, t3) = (t * t, t * t * t);
+    from.0 * (2.0 * t3 - 3.0 * t2 + 1.0)
+        + from.1 * (length * (t3 - 2.0 * t2 + t))
+        + to.0 * (3.0 * t2 - 2.0 * t3)
+        + to.1 * (length * (t3 - t2))
+}
+
+/// Returns 0 up to 0, 1 from 1 on, smooth between.
+pub(crate) fn smooth_step(part: f64) -> f64 {
+    let part = part.clamp(0.0, 1.0);
+    part * part * (3.0 - 2.0 * part)
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ impl TwoBones {
     pub(crate) fn reach(&self, distance: f64, extension: f64) -> f64 {
         let full = self.thigh + self.shank;
         let shortest = (self.thigh - self.shank).abs();
-        let free = full * extension.clamp(FREE_EXTENSION, 1.0);
+        let free = self.free(extension);
         if distance <= free {
             return distance.max(shortest);
         }
@@ -32,6 +32,11 @@ impl TwoBones {
             return full;
         }
         free + left * (1.0 - (-(distance - free) / left).exp())
+    }
+
+    /// Returns the distance up to which [`TwoBones::reach`] is exact, metres.
+    pub(crate) fn free(&self, extension: f64) -> f64 {
+        (self.thigh + self.shank) * extension.clamp(FREE_EXTENSION, 1.0)
     }
 
     /// Returns how far the knee stands off the line from hip to ankle, and how far along the line

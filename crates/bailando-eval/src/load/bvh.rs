@@ -1,4 +1,4 @@
-//! BVH: hierarchy and channels to joint positions by forward kinematics.
+//! BVH: hierarchy and channels to local rotations, and joint positions by forward kinematics.
 //!
 //! Joints are found by their names, so that files of other programs with the same skeleton work in
 //! any order of joints and channels. The root's place is that of its position channels, as its
@@ -10,7 +10,7 @@ use glam::{DQuat, DVec3};
 use ndarray::Array3;
 
 use crate::body::{
-    JOINT_NAMES, JOINTS, check_rate,
+    JOINT_NAMES, JOINTS, SkeletalMotion, check_rate,
     joint::{L_ANKLE, L_KNEE},
 };
 
@@ -32,8 +32,8 @@ struct Joint {
     channels: Vec<Channel>,
 }
 
-/// Returns positions `[frames, 24, 3]` in metres, SMPL order.
-pub(super) fn read(text: &str) -> Result<Array3<f32>, String> {
+/// Returns positions `[frames, 24, 3]` in metres, SMPL order, and the rotations behind them.
+pub(super) fn read(text: &str) -> Result<(Array3<f32>, SkeletalMotion), String> {
     let mut words = text.split_whitespace();
     let joints = hierarchy(&mut words)?;
     let order = smpl_order(&joints)?;
@@ -48,15 +48,44 @@ pub(super) fn read(text: &str) -> Result<Array3<f32>, String> {
         return Err(format!("{found} numbers are not {frames} frames of {channels} channels"));
     }
     let mut positions = Array3::zeros((frames, JOINTS, 3));
+    let mut skeletal = skeleton(&joints, &order, scale);
     for (frame, values) in values.chunks_exact(channels).enumerate() {
-        let places = pose(&joints, values);
+        let Pose { places, local } = pose(&joints, values);
         for (joint, &at) in order.iter().enumerate() {
             for (axis, value) in (places[at] * scale).to_array().into_iter().enumerate() {
                 positions[(frame, joint, axis)] = value as f32;
             }
         }
+        skeletal.root.push(places[order[0]] * scale);
+        skeletal.local.push(std::array::from_fn(|joint| local[order[joint]]));
     }
-    Ok(positions)
+    skeletal.channel_jump = largest_jump(&joints, &values, channels);
+    Ok((positions, skeletal))
+}
+
+/// Returns the rest skeleton, without frames. A joint whose parent is none of the 24 hangs on the
+/// root.
+fn skeleton(joints: &[Joint], order: &[usize], scale: f64) -> SkeletalMotion {
+    let parent = |joint: usize| {
+        let parent = joints[order[joint]].parent?;
+        order.iter().position(|&at| at == parent)
+    };
+    SkeletalMotion {
+        parents: std::array::from_fn(|joint| parent(joint).unwrap_or(0)),
+        offsets: std::array::from_fn(|joint| joints[order[joint]].offset * scale),
+        root: Vec::new(),
+        local: Vec::new(),
+        channel_jump: 0.0,
+    }
+}
+
+/// Returns the largest change of a rotation channel from one frame to the next, degrees.
+fn largest_jump(joints: &[Joint], values: &[f64], channels: usize) -> f64 {
+    let all = joints.iter().flat_map(|joint| &joint.channels);
+    let rotates: Vec<bool> = all.map(|channel| matches!(channel, Channel::Rotation(_))).collect();
+    let pairs = values.iter().zip(values.iter().skip(channels));
+    let jumps = pairs.zip(rotates.iter().cycle()).filter(|(_, rotates)| **rotates);
+    jumps.map(|((before, now), _)| (now - before).abs()).fold(0.0, f64::max)
 }
 
 /// Reads the joints up to the word MOTION; a parent comes before its children.
@@ -144,10 +173,17 @@ fn metres(joints: &[Joint], order: &[usize]) -> f64 {
     }
 }
 
-/// Computes the places of all joints for one line of channels.
-fn pose(joints: &[Joint], values: &[f64]) -> Vec<DVec3> {
+/// Places and local rotations of all joints of the file.
+struct Pose {
+    places: Vec<DVec3>,
+    local: Vec<DQuat>,
+}
+
+/// Computes the pose of one line of channels.
+fn pose(joints: &[Joint], values: &[f64]) -> Pose {
     let mut values = values.iter().copied();
     let mut places = Vec::with_capacity(joints.len());
+    let mut rotations = Vec::with_capacity(joints.len());
     let mut turned: Vec<DQuat> = Vec::with_capacity(joints.len());
     for joint in joints {
         let mut shift = DVec3::ZERO;
@@ -168,8 +204,9 @@ fn pose(joints: &[Joint], values: &[f64]) -> Vec<DVec3> {
         };
         places.push(place);
         turned.push(turn);
+        rotations.push(local);
     }
-    places
+    Pose { places, local: rotations }
 }
 
 fn word<'a>(words: &mut SplitWhitespace<'a>) -> Result<&'a str, String> {
@@ -236,7 +273,11 @@ mod tests {
     fn channels_are_applied_in_their_order() {
         // Rz(90) * Ry(90) takes x to -z; the other order would take it to y.
         let text = file(1.0, SIXTIETH, ["1 2 3 0 0 0", "0 0 0 90 0 90"]);
-        let positions = read(&text).unwrap();
+        let (positions, rotations) = read(&text).unwrap();
+        assert_eq!(rotations.channel_jump, 90.0);
+        let [root, _] = rotations.local[..] else { panic!("two frames") };
+        assert_eq!(root[0], DQuat::IDENTITY);
+        assert_eq!(rotations.offsets[5], DVec3::X);
         assert_eq!(at(&positions, 0, 0), [1.0, 2.0, 3.0]);
         assert_eq!(at(&positions, 0, 17), [2.0, 2.0, 3.0]);
         let turned = at(&positions, 1, 5);
@@ -246,7 +287,7 @@ mod tests {
     #[test]
     fn centimetres_are_recognised_by_the_leg() {
         for (unit, root) in [(40.0, "100 0 0 0 0 0"), (0.4, "1 0 0 0 0 0")] {
-            let positions = read(&file(unit, SIXTIETH, [root; 2])).unwrap();
+            let (positions, _) = read(&file(unit, SIXTIETH, [root; 2])).unwrap();
             assert!((positions[(0, 7, 0)] - 1.4).abs() < 1e-6);
         }
     }

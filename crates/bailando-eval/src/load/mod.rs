@@ -52,7 +52,8 @@ pub fn load_motion(path: &Path) -> Result<Motion, EvaluationError> {
         Some(Kind::Npy) => npy::read(path).and_then(made),
         Some(Kind::Json) => json::read(&text(path)?)
             .and_then(|(positions, codes)| Ok(made(positions)?.with_codes(codes))),
-        Some(Kind::Bvh) => bvh::read(&text(path)?).and_then(made),
+        Some(Kind::Bvh) => bvh::read(&text(path)?)
+            .and_then(|(positions, rotations)| Ok(made(positions)?.with_rotations(rotations))),
         None => Err("a motion is a .npy, .json or .bvh file".into()),
     };
     motion.map_err(|problem| EvaluationError::file(path, problem))

@@ -13,8 +13,14 @@ use crate::{assert_continuous_unit_quaternions, assert_near, posed, swinging};
 /// ARCHITECTURE section 5.
 const GOLDEN_TOLERANCE: f32 = 2e-5;
 
+/// As decoded.
 fn at(fps: u32) -> FinishOptions {
-    FinishOptions { fps, ..FinishOptions::default() }
+    FinishOptions { fps, clean: false, ..FinishOptions::default() }
+}
+
+/// As decoded, with the decoder's own positions.
+fn decoders() -> FinishOptions {
+    FinishOptions { positions: PositionsSource::Decoder, ..at(60) }
 }
 
 fn try_finish(decoded: &Array2<f32>, options: &FinishOptions) -> Result<Finished, MotionError> {
@@ -58,7 +64,7 @@ fn integrated_root_equals_the_golden_files() {
 #[test]
 fn at_the_decoders_rate_the_decoders_poses_come_back() {
     let decoded = decoded_swinging(600, 0.05);
-    let done = finish(&decoded, &at(60));
+    let done = finish(&decoded, &decoders());
     assert_eq!(done.source, PositionsSource::Decoder);
     assert_eq!(done.positions.dim(), (600, 24, 3));
     for (frame, pose) in done.positions.outer_iter().enumerate() {
@@ -75,9 +81,9 @@ fn at_the_decoders_rate_the_decoders_poses_come_back() {
 }
 
 #[test]
-fn at_other_rates_positions_are_those_of_the_rotations() {
+fn positions_are_those_of_the_rotations() {
     let decoded = decoded_swinging(601, 0.0);
-    for (fps, frames) in [(20, 201), (24, 241), (30, 301)] {
+    for (fps, frames) in [(20, 201), (24, 241), (30, 301), (60, 601)] {
         let done = finish(&decoded, &at(fps));
         assert_eq!(done.source, PositionsSource::ForwardKinematics);
         assert_eq!(done.positions.dim(), (frames, 24, 3));
@@ -85,14 +91,19 @@ fn at_other_rates_positions_are_those_of_the_rotations() {
     }
     let refused = try_finish(&decoded, &at(25));
     assert_eq!(refused, Err(MotionError::FrameRate { got: 25 }));
+    for options in
+        [FinishOptions { fps: 30, ..decoders() }, FinishOptions { clean: true, ..decoders() }]
+    {
+        let refused = try_finish(&decoded, &options);
+        assert_eq!(refused, Err(MotionError::DecoderPositions { decoded_fps: 60 }));
+    }
 }
 
 #[test]
 fn without_root_motion_the_dancer_stays_in_place_at_the_same_height() {
     let decoded = decoded_swinging(300, 0.0);
-    let travels = finish(&decoded, &at(60));
-    let options = FinishOptions { root_motion: false, ..FinishOptions::default() };
-    let stays = finish(&decoded, &options);
+    let travels = finish(&decoded, &decoders());
+    let stays = finish(&decoded, &FinishOptions { root_motion: false, ..decoders() });
     for (a, b) in stays.animation.root.iter().zip(&travels.animation.root) {
         assert_eq!(*a, Vec3::Y * b.y);
     }
@@ -105,8 +116,11 @@ fn without_root_motion_the_dancer_stays_in_place_at_the_same_height() {
 fn an_empty_or_single_frame_is_no_special_case() {
     for frames in [0, 1] {
         for fps in FRAME_RATES {
-            let done = finish(&Array2::zeros((frames, 72)), &at(fps));
-            assert_eq!(done.positions.dim(), (frames, 24, 3));
+            for clean in [false, true] {
+                let options = FinishOptions { clean, ..at(fps) };
+                let done = finish(&Array2::zeros((frames, 72)), &options);
+                assert_eq!(done.positions.dim(), (frames, 24, 3));
+            }
         }
     }
     let other_skeleton = try_finish(&Array2::zeros((4, 69)), &at(60));
@@ -131,7 +145,7 @@ fn decoded_motion_lies_close_to_the_skeleton() {
     let Some(decoded) = decoded_song() else {
         return;
     };
-    let done = finish(&decoded, &at(60));
+    let done = finish(&decoded, &decoders());
     let on_skeleton = posed(&done.animation);
     let (mean, largest) = distances(&done.positions, &on_skeleton);
     println!("bootstrap decode: mean {mean:.4} m, largest {largest:.4} m");

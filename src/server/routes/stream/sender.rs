@@ -67,7 +67,7 @@ impl Sender {
     ) -> Result<Self, ServerError> {
         let Opened { order, opening, events, room } = opened;
         let writer = Writer { lines: order.shape.lines };
-        let json = order.options.json();
+        let json = order.options.writing().json;
         let start = start_event(&start_of(&opening), &json)?;
         Ok(Self {
             writer,
@@ -144,7 +144,9 @@ impl Sender {
         let mut timings = output.timings;
         timings.motion = self.motion;
         self.state.metrics.stage("motion", self.motion);
-        let done = done_event(self.sent, &output.codes, output.tail.as_ref(), timings);
+        let seam = self.finisher.as_ref().and_then(Finisher::seam);
+        let tail = output.tail.map(|tail| tail.with_seam(seam));
+        let done = done_event(self.sent, &output.codes, tail.as_ref(), timings);
         last.extend(self.writer.event("done", &done?));
         self.answered();
         Ok((last.into(), false))

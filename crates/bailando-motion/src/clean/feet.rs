@@ -1,0 +1,206 @@
+//! Feet: contacts held in place, soles above the floor, toes that bend, legs that reach.
+
+use glam::{DQuat, DVec3, Quat};
+
+use super::{
+    contact::{BALL, Contacts, HEEL, Hold},
+    foot::{Foot, above_floor, height},
+    limb::Limb,
+    pose::WorldPose,
+};
+use crate::{
+    animation::{Animation, FrameQueue},
+    skeleton::Skeleton,
+    smooth::{smooth_step, smooth_upper_bound_at},
+};
+
+/// The root is never lowered further than this, metres.
+const MOST_LOWERED: f64 = 0.08;
+/// Seconds that lowering the root starts before it is needed and ends after.
+const LOWERING: f64 = 0.15;
+
+/// Plants the feet of one motion.
+#[derive(Clone, Debug)]
+pub(super) struct FeetPlanter {
+    pose: WorldPose,
+    legs: Vec<Leg>,
+    half_width: usize,
+    lookahead: usize,
+    continues: bool,
+    frames: Animation,
+    /// Number of frames released.
+    done: usize,
+    /// How much lower the root must be, in every frame whose feet are known, metres.
+    missing: Vec<f64>,
+    last: Vec<Quat>,
+}
+
+#[derive(Clone, Debug)]
+struct Leg {
+    limb: Limb,
+    foot: Foot,
+    heel: Contacts,
+    ball: Contacts,
+    /// Where the foot goes, in every frame that is settled.
+    targets: Vec<Target>,
+}
+
+/// A foot in world space.
+#[derive(Clone, Copy, Debug)]
+struct Target {
+    ankle: DVec3,
+    turn: DQuat,
+    toe_bend: f64,
+    /// Share of its length to which the leg was extended before.
+    extension: f64,
+}
+
+impl FeetPlanter {
+    pub(super) fn new(skeleton: &Skeleton, fps: u32, continues: bool) -> Self {
+        let leg = |ball| {
+            Some(Leg {
+                limb: Limb::above(skeleton, ball, DVec3::NEG_Z)?,
+                foot: Foot::of(skeleton, ball)?,
+                heel: Contacts::new(&HEEL, fps, continues),
+                ball: Contacts::new(&BALL, fps, continues),
+                targets: Vec::new(),
+            })
+        };
+        Self {
+            pose: WorldPose::new(skeleton),
+            legs: skeleton.foot_joints().into_iter().filter_map(leg).collect(),
+            half_width: (LOWERING * f64::from(fps)).ceil() as usize,
+            lookahead: Contacts::new(&BALL, fps, continues).lookahead(),
+            continues,
+            frames: Animation::empty(fps),
+            done: 0,
+            missing: Vec::new(),
+            last: Vec::new(),
+        }
+    }
+
+    /// Takes the next frames; returns those that are settled.
+    pub(super) fn push(&mut self, animation: Animation) -> Animation {
+        for (root, rotations) in animation.root.iter().zip(&animation.rotations) {
+            self.pose.set(*root, rotations);
+            for leg in &mut self.legs {
+                let [heel, ball] = leg.points(&self.pose);
+                leg.heel.push(heel);
+                leg.ball.push(ball);
+            }
+        }
+        self.frames.push_frames(animation);
+        let known = self.done + self.frames.root.len();
+        self.settle(known.saturating_sub(self.lookahead));
+        self.release(self.missing.len().saturating_sub(2 * self.half_width))
+    }
+
+    /// Returns the rest.
+    pub(super) fn end(&mut self) -> Animation {
+        for leg in &mut self.legs {
+            leg.heel.end();
+            leg.ball.end();
+        }
+        let known = self.done + self.frames.root.len();
+        self.settle(known);
+        self.release(known)
+    }
+
+    /// Finds where the feet go up to the frame `end`.
+    fn settle(&mut self, end: usize) {
+        for frame in self.missing.len()..end {
+            let here = frame - self.done;
+            self.pose.set(self.frames.root[here], &self.frames.rotations[here]);
+            let mut missing = 0.0_f64;
+            for leg in &mut self.legs {
+                missing = missing.max(leg.settle(frame, &self.pose));
+            }
+            self.missing.push(missing.min(MOST_LOWERED));
+        }
+    }
+
+    fn release(&mut self, end: usize) -> Animation {
+        let count = end.saturating_sub(self.done);
+        let mut animation = self.frames.take_frames(count);
+        for (root, rotations) in animation.root.iter_mut().zip(&mut animation.rotations) {
+            let mut lowered = smooth_upper_bound_at(&self.missing, self.half_width, self.done);
+            if self.continues {
+                lowered *= smooth_step(self.done as f64 / self.half_width as f64);
+            }
+            root.y -= lowered as f32;
+            self.pose.set(*root, rotations);
+            for leg in &self.legs {
+                leg.write(self.done, &self.pose, rotations);
+            }
+            for (rotation, last) in rotations.iter_mut().zip(&self.last) {
+                if rotation.dot(*last) < 0.0 {
+                    *rotation = -*rotation;
+                }
+            }
+            self.last.clone_from(rotations);
+            self.done += 1;
+        }
+        animation
+    }
+}
+
+impl Leg {
+    /// Returns heel and ball of a pose.
+    fn points(&self, pose: &WorldPose) -> [DVec3; 2] {
+        let ankle = self.limb.joints[2];
+        let (place, turn) = (pose.place(ankle), pose.turn(ankle));
+        [place + turn * self.foot.heel, place + turn * self.foot.ball]
+    }
+
+    /// Finds where the foot goes in `frame`; returns how much lower the root must be for it.
+    fn settle(&mut self, frame: usize, pose: &WorldPose) -> f64 {
+        let [heel, ball] = self.points(pose);
+        let holds = [self.heel.at(frame), self.ball.at(frame)];
+        let [heel_to, ball_to] = [(heel, holds[0]), (ball, holds[1])].map(held);
+        // The ball is exact where both stand: the heel turns about it.
+        let [by_heel, by_ball] = holds.map(|hold| hold.weight);
+        let share = (by_ball + 0.05) / (by_ball + by_heel * (1.0 - by_ball) + 0.1);
+        let turn = pose.turn(self.limb.joints[2]);
+        let turn = match (ball - heel).try_normalize() {
+            Some(from) => {
+                let to = self.foot.slanted(ball_to - heel_to);
+                (DQuat::from_rotation_arc(from, to) * turn).normalize()
+            }
+            None => turn,
+        };
+        let pivot = self.foot.heel.lerp(self.foot.ball, share);
+        let ankle = heel_to.lerp(ball_to, share) - turn * pivot;
+        let (toe_bend, lift) = self.foot.toe_bend(ankle + turn * self.foot.ball, turn);
+        let ankle = ankle + DVec3::Y * lift;
+        let [hip, _, joint, _] = self.limb.joints;
+        let full = self.limb.distance_at(0.0);
+        let extension = (pose.place(joint) - pose.place(hip)).length() / full;
+        self.targets.push(Target { ankle, turn, toe_bend, extension });
+
+        // A standing leg is never stretched to reach its foot: the root is lowered instead.
+        let line = ankle - pose.place(hip);
+        let missing = (line.length() - self.limb.bones.free(extension)).max(0.0);
+        by_heel.max(by_ball) * missing / (-line.normalize_or_zero().y).max(0.5)
+    }
+
+    /// Bends the leg of `pose` to where its foot goes in `frame`.
+    fn write(&self, frame: usize, pose: &WorldPose, rotations: &mut [Quat]) {
+        let Target { ankle, turn, toe_bend, extension } = self.targets[frame];
+        let [hip, _, _, ball] = self.limb.joints;
+        let line = ankle - pose.place(hip);
+        let reached = self.limb.bones.reach(line.length(), extension);
+        let line = line.normalize_or(DVec3::NEG_Y) * reached;
+        let [thigh, shank] = self.limb.reach(line, self.limb.axis(pose.turn(hip)));
+        self.limb.write(pose, [thigh, shank, turn], rotations);
+        rotations[ball] = self.foot.toes_bent(toe_bend).as_quat().normalize();
+    }
+}
+
+/// Returns where a point of the sole goes: held by its contacts, else above the floor.
+fn held((point, hold): (DVec3, Hold)) -> DVec3 {
+    let moved = point + hold.offset;
+    let now = height(moved);
+    // Between two contacts the path of the offset can dip.
+    let wanted = (1.0 - hold.weight) * above_floor(now) + hold.weight * now.max(0.0);
+    moved + DVec3::Y * (wanted - now)
+}

@@ -1,0 +1,171 @@
+//! The sole of a foot: heel, ball and toe tip, as the skeleton's rest offsets place them.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use glam::{DQuat, DVec3};
+
+use crate::{floor::STANDING_HEIGHT, skeleton::Skeleton, smooth::smooth_step};
+
+/// Distance from the ankle back to the heel's contact, share of that from ankle to ball along the
+/// floor. Ankle joints lie a quarter of the foot's length from its back, balls at 70 to 75 %.
+const HEEL: f64 = 0.4;
+/// Distance from the ball on to the toe tip, share of the same. No joint of the skeleton is there:
+/// the toes are the last 25 to 30 % of a foot whose part from ankle to ball is half of it, and so
+/// half as long as that part. The end site of a BVH lies there, too.
+const TOES: f64 = 0.5;
+/// Largest bend of the toes, radians: 65 degrees.
+const MOST_BENT: f64 = 1.134;
+/// A foot that slants by up to the first of these (sine) keeps the heights of both ends, and from
+/// the second on its direction.
+const UPRIGHT: (f64, f64) = (0.7, 0.9);
+/// Heights below this are pressed together above the floor, metres.
+const SOFT: f64 = 0.01;
+
+/// A foot with its sole: three points, each as thick as the ball joint stands high.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Foot {
+    /// From the ankle to the ball joint, in the ankle's frame.
+    pub(super) ball: DVec3,
+    /// From the ankle to the heel, as high as the ball.
+    pub(super) heel: DVec3,
+    /// From the ball joint to the toe tip, in the rest pose along the floor.
+    toes: DVec3,
+}
+
+/// Height above the floor of a point of the sole, metres: negative below.
+pub(super) fn height(point: DVec3) -> f64 {
+    point.y - f64::from(STANDING_HEIGHT)
+}
+
+impl Foot {
+    /// Finds the sole of the foot whose ball is the joint `ball`; none if it points nowhere.
+    pub(super) fn of(skeleton: &Skeleton, ball: usize) -> Option<Self> {
+        let ball = skeleton.offset(ball).as_dvec3();
+        let ahead = ball.with_y(0.0);
+        (ahead.length() > 0.01).then_some(Self {
+            ball,
+            heel: DVec3::Y * ball.y - ahead * HEEL,
+            toes: ahead * TOES,
+        })
+    }
+
+    /// Returns the unit vector from heel to ball that points where `line` points on the floor and
+    /// rises as much: both ends keep their heights, whatever the line's length. A foot that stands
+    /// upright has no such direction, and takes the line's own.
+    pub(super) fn slanted(&self, line: DVec3) -> DVec3 {
+        let own = line.normalize_or(DVec3::Z);
+        let rise = (line.y / (self.ball - self.heel).length()).clamp(-1.0, 1.0);
+        let level = own.with_y(0.0).normalize_or_zero() * (1.0 - rise * rise).sqrt();
+        let (kept, upright) = UPRIGHT;
+        let share = smooth_step((upright - own.y.abs().max(rise.abs())) / (upright - kept));
+        own.lerp(level + DVec3::Y * rise, share).normalize_or(own)
+    }
+
+    /// Returns the angle by which the toes of a foot with this world rotation bend up, so that
+    /// their tip stays above the floor, and how far the foot must be lifted where they cannot.
+    pub(super) fn toe_bend(&self, ball: DVec3, turn: DQuat) -> (f64, f64) {
+        let length = self.toes.length();
+        let [ahead, up] = [self.toes / length, DVec3::Y].map(|direction| (turn * direction).y);
+        let straight = height(ball) + length * ahead;
+        let wanted = above_floor(straight);
+        if wanted - straight < 1e-9 {
+            return (0.0, 0.0);
+        }
+        // length * (ahead cos a + up sin a) = wanted - height(ball)
+        let rise = |angle: f64| length * (ahead * angle.cos() + up * angle.sin());
+        let (largest, phase) = (ahead.hypot(up).max(1e-9), up.atan2(ahead));
+        // Past upright, with the toes pointing back, they bend up still.
+        let phase = if phase < -FRAC_PI_2 { phase + TAU } else { phase };
+        let share = (wanted - height(ball)) / (length * largest);
+        let angle = (phase - share.clamp(-1.0, 1.0).acos()).clamp(0.0, MOST_BENT);
+        (angle, (wanted - height(ball) - rise(angle)).max(0.0))
+    }
+
+    /// Returns the local rotation of the ball joint that bends the toes up by `angle`.
+    pub(super) fn toes_bent(&self, angle: f64) -> DQuat {
+        DQuat::from_axis_angle(self.toes.cross(DVec3::Y).normalize(), angle)
+    }
+
+    /// Returns the toe tip of a foot.
+    #[cfg(test)]
+    pub(super) fn toe_tip(&self, ball: DVec3, turn: DQuat, bend: f64) -> DVec3 {
+        ball + turn * self.toes_bent(bend) * self.toes
+    }
+}
+
+/// Returns a height that is nowhere below the floor, and the same from [`SOFT`] on: smooth between,
+/// so that a foot that sinks does not stop abruptly.
+pub(super) fn above_floor(height: f64) -> f64 {
+    match height < SOFT {
+        true => SOFT * (height / SOFT - 1.0).exp(),
+        false => height,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn toes_lie_on_the_floor_when_the_heel_lifts() {
+        let foot = Foot::of(&Skeleton::fixture(), 10).unwrap();
+        let ball = DVec3::Y * f64::from(STANDING_HEIGHT);
+        let across = foot.toes.cross(DVec3::Y).normalize();
+        for lifted in [0.0, 0.2, 0.5, 1.0, 1.3] {
+            let turn = DQuat::from_axis_angle(across, -lifted);
+            let (bend, lift) = foot.toe_bend(ball, turn);
+            let tip = foot.toe_tip(ball, turn, bend) + DVec3::Y * lift;
+            assert!((height(tip) - above_floor(-foot.toes.length() * lifted.sin())).abs() < 1e-9);
+            assert!(bend >= 0.0 && bend <= MOST_BENT && (lift == 0.0 || bend == MOST_BENT));
+            assert!(bend > 0.8 * lifted.min(MOST_BENT), "{lifted}: {bend}");
+        }
+        // Past upright nothing jumps.
+        let mut last = None;
+        for step in 0..100 {
+            let turn = DQuat::from_axis_angle(across, -1.2 - 0.01 * f64::from(step));
+            let found = foot.toe_bend(ball, turn);
+            let near = |(bend, lift): (f64, f64)| {
+                (bend - found.0).abs() < 0.02 && (lift - found.1).abs() < 1e-3
+            };
+            assert!(last.is_none_or(near), "step {step}: {last:?} {found:?}");
+            last = Some(found);
+        }
+        // Toes that point up stay straight.
+        let turn = DQuat::from_axis_angle(across, 0.5);
+        assert_eq!(foot.toe_bend(ball, turn), (0.0, 0.0));
+    }
+
+    #[test]
+    fn a_line_of_another_length_keeps_its_rise_and_an_upright_one_does_not_jump() {
+        let foot = Foot::of(&Skeleton::fixture(), 11).unwrap();
+        let length = (foot.ball - foot.heel).length();
+        for line in [DVec3::new(0.1, 0.05, 0.1), DVec3::new(0.0, -0.08, 0.3)] {
+            let slanted = foot.slanted(line);
+            assert!((slanted.length() - 1.0).abs() < 1e-12);
+            assert!((slanted.y * length - line.y).abs() < 1e-12);
+            assert!(slanted.with_y(0.0).angle_between(line.with_y(0.0)) < 1e-6);
+        }
+        // From a slope ahead over upright to a slope behind.
+        let mut last = None;
+        for step in 0..=200 {
+            let angle = 0.6 + 0.01 * f64::from(step);
+            let line = DVec3::new(0.0, -angle.sin(), angle.cos()) * 1.1 * length;
+            let slanted = foot.slanted(line);
+            let turned = last.map_or(0.0, |last| slanted.angle_between(last));
+            assert!(turned < 0.03, "at {angle}: {turned}");
+            last = Some(slanted);
+        }
+    }
+
+    #[test]
+    fn heights_are_pressed_above_the_floor_without_a_kink() {
+        let mut last = above_floor(-0.1);
+        assert!(last > 0.0);
+        for step in 1..300 {
+            let now = above_floor(-0.1 + 0.001 * f64::from(step));
+            assert!(now >= last && now - last <= 0.001 + 1e-12);
+            last = now;
+        }
+        assert_eq!(above_floor(0.02), 0.02);
+    }
+}

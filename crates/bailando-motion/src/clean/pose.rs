@@ -1,0 +1,56 @@
+//! One pose in world space.
+
+use glam::{DQuat, DVec3, Quat, Vec3};
+
+use crate::skeleton::Skeleton;
+
+/// World positions and rotations of all joints in one frame; planned once, then filled in place.
+#[derive(Clone, Debug)]
+pub(super) struct WorldPose {
+    parents: Vec<Option<usize>>,
+    offsets: Vec<DVec3>,
+    places: Vec<DVec3>,
+    turns: Vec<DQuat>,
+}
+
+impl WorldPose {
+    pub(super) fn new(skeleton: &Skeleton) -> Self {
+        let joints = 0..skeleton.joints.len();
+        Self {
+            parents: joints.clone().map(|joint| skeleton.parent(joint)).collect(),
+            offsets: joints.clone().map(|joint| skeleton.offset(joint).as_dvec3()).collect(),
+            places: vec![DVec3::ZERO; joints.len()],
+            turns: vec![DQuat::IDENTITY; joints.len()],
+        }
+    }
+
+    /// Poses the skeleton.
+    pub(super) fn set(&mut self, root: Vec3, rotations: &[Quat]) {
+        for (joint, rotation) in rotations.iter().enumerate() {
+            let local = rotation.as_dquat();
+            (self.places[joint], self.turns[joint]) = match self.parents[joint] {
+                None => (root.as_dvec3(), local.normalize()),
+                Some(parent) => {
+                    let turn = self.turns[parent];
+                    let place = self.places[parent] + turn * self.offsets[joint];
+                    (place, (turn * local).normalize())
+                }
+            };
+        }
+    }
+
+    /// World position of a joint, metres.
+    pub(super) fn place(&self, joint: usize) -> DVec3 {
+        self.places[joint]
+    }
+
+    /// World rotation of a joint.
+    pub(super) fn turn(&self, joint: usize) -> DQuat {
+        self.turns[joint]
+    }
+
+    /// World rotation of a joint's parent; none for the root.
+    pub(super) fn turn_above(&self, joint: usize) -> DQuat {
+        self.parents[joint].map_or(DQuat::IDENTITY, |parent| self.turns[parent])
+    }
+}
