@@ -69,7 +69,8 @@ struct RowsArgs {
         value_name = "F.npy",
         conflicts_with_all = [
             "output", "out_dir", "include_rotations", "encoding", "bvh_unit", "offset_s",
-            "duration_s", "fps", "root_motion", "clean", "positions", "music", "max_audio_seconds", "candidates",
+            "duration_s", "fps", "root_motion", "clean", "positions", "music", "max_audio_seconds",
+            "candidates",
         ]
     )]
     features: Option<PathBuf>,

@@ -207,11 +207,20 @@ fn a_seed_decides_and_a_continuation_begins_with_its_prompt() {
     assert_eq!(first.codes.upper.len(), 30);
     let before = Codes { upper: vec![3, 4, 5], lower: vec![6, 7, 8] };
     let mut next = asked(1, 30);
-    next.options.continue_from = Some(Continuation::new("00", before, [1.0, 2.0], 0.5));
+    let mut tail = Continuation::new("00", before, [1.0, 2.0], 0.5);
+    next.options.continue_from = Some(tail.clone());
     let next = Harness::alone(next);
     assert_eq!(next.codes.upper.len(), 30);
     assert_ne!(next.codes, first.codes);
-    assert_eq!(next.into_decoded().nrows(), 8 * 30);
+    let (codes, whole) = (next.codes.clone(), next.into_decoded());
+    assert_eq!(whole.nrows(), 8 * 30);
+    // A motion that ended inside its last code leaves the rest of that code to the next one.
+    tail.shown = 3;
+    let mut inside = asked(1, 30);
+    inside.options.continue_from = Some(tail);
+    let inside = Harness::alone(inside);
+    assert_eq!(inside.codes, codes);
+    assert_eq!(inside.into_decoded().nrows(), 5 + 8 * 30);
 }
 
 #[test]
