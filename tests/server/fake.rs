@@ -225,6 +225,8 @@ fn manifest() -> Manifest {
             columns: 438,
             count_periods: Vec::new(),
         },
+        styles: Vec::new(),
+        energy: false,
         fps: 60,
         frames_per_code: 8,
         motion_frame: MotionFrame::World,

@@ -66,6 +66,8 @@ fn main() -> anyhow::Result<()> {
         licence: "MIT".into(),
         profile: Profile::Librosa011,
         count_periods: Vec::new(),
+        styles: Vec::new(),
+        energy: false,
         start_codes: Vec::new(),
         suppressed_codes: SuppressedCodes::default(),
         temperature: 1.0,

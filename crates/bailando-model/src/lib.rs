@@ -21,6 +21,7 @@ mod error;
 mod gpt;
 mod installed;
 mod manifest;
+mod manner;
 mod runtime;
 mod session;
 mod vocabulary;
@@ -35,6 +36,7 @@ pub use manifest::{
     MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, SamplingDefaults, WeightStorage,
     WindowKind,
 };
+pub use manner::{MAX_STYLES, Manner, MannerSpec, NO_STYLE, check_styles};
 pub use runtime::LIBRARY_VARIABLE;
 pub use vocabulary::{SuppressedCodes, Vocabulary};
 pub use vqvae::{Decoder, Encoder, code_pairs};

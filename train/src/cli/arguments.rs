@@ -131,9 +131,9 @@ pub(super) struct SettingsArguments {
     /// Settings (TOML); settings that the file leaves out are as published
     config: PathBuf,
 
-    /// Folder of training data, of any layout [default: `data.folder` of the settings]
+    /// Folder of training data, of any layout; may be repeated [default: those of the settings]
     #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
+    data: Vec<PathBuf>,
 
     /// Folder of music features [default: `data.cache` of the settings]
     #[arg(long, value_name = "DIR")]
@@ -323,9 +323,7 @@ impl SettingsArguments {
     /// Reads the settings, with the folders of the command line.
     pub(super) fn read(&self) -> anyhow::Result<Config> {
         let mut config = Config::read(&self.config)?;
-        if let Some(data) = &self.data {
-            config.data.folder.clone_from(data);
-        }
+        config.data.replace_folders(&self.data);
         if let Some(cache) = &self.cache {
             config.data.cache.clone_from(cache);
         }
@@ -354,6 +352,8 @@ impl From<ImportArguments> for ImportOptions {
                 licence: arguments.licence,
                 profile: arguments.profile,
                 count_periods: Vec::new(),
+                styles: Vec::new(),
+                energy: false,
                 start_codes: Vec::new(),
                 suppressed_codes: SuppressedCodes::default(),
                 temperature: arguments.temperature,

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use bailando::model::{Manifest, ModelDirectory, SamplingDefaults, SuppressedCodes};
 use burn_flex::{Flex, FlexDevice};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::{
     calibrate::input_ranges, config::Config, error::TrainError, frozen::FrozenVqVae,
@@ -39,7 +39,7 @@ pub(super) fn write<const N: usize>(
     config.ablation.refuse("export")?;
     let training = [
         ("seed", config.run.seed.into()),
-        ("data", config.data.folder.display().to_string().into()),
+        ("data", data_folders(config)),
         (CHECKPOINTS, checkpoints(config)?),
         (SETTINGS, settings(config)?),
     ];
@@ -50,6 +50,8 @@ pub(super) fn write<const N: usize>(
         licence: config.export.licence.clone(),
         profile: config.data.profile,
         count_periods: config.data.count_periods.clone(),
+        styles: policy.manners.styles.clone(),
+        energy: policy.manners.energy,
         start_codes: allowed_starts(&policy.starts, &suppressed_codes),
         suppressed_codes,
         temperature: config.export.temperature,
@@ -70,6 +72,21 @@ pub(super) fn write<const N: usize>(
         &vqvae_weights(config)?,
         &description,
     )?)
+}
+
+/// Returns the data folder, or all of them with their weights.
+fn data_folders(config: &Config) -> Value {
+    let folders = config.data.all_folders();
+    let text = |path: &Path| Value::from(path.display().to_string());
+    match &folders[..] {
+        [folder] if folder.weight == 1.0 => text(&folder.path),
+        folders => {
+            let folders = folders.iter();
+            folders
+                .map(|folder| json!({"path": text(&folder.path), "weight": folder.weight}))
+                .collect()
+        }
+    }
 }
 
 /// Returns the starts without suppressed codes.

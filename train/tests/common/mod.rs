@@ -81,6 +81,8 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             licence: "MIT".into(),
             profile: Profile::Librosa081,
             count_periods: Vec::new(),
+            styles: Vec::new(),
+            energy: false,
             start_codes: Vec::new(),
             suppressed_codes: SuppressedCodes::default(),
             temperature: 0.0,
