@@ -38,6 +38,8 @@ pub(crate) struct Prologue {
     pub(crate) prompt: Prompt,
     pub(crate) root_motion: bool,
     pub(crate) music: Option<MusicInfo>,
+    /// Style of the dance; none from a model without styles.
+    pub(crate) style: Option<String>,
     pub(crate) timings: Timings,
     pub(crate) warnings: Vec<String>,
     /// The request's span.
@@ -57,6 +59,7 @@ impl Prologue {
             prompt: Prompt::of(options),
             root_motion: options.root_motion,
             music: None,
+            style: None,
             timings: Timings::default(),
             warnings: Vec::new(),
             span: Span::current(),
@@ -144,6 +147,7 @@ impl MotionBuffer {
             seed: prologue.seed,
             codes: halves(codes),
             motion,
+            style: prologue.style.take(),
             music: prologue.music.take(),
             timings: prologue.timings,
             warnings: std::mem::take(&mut prologue.warnings),

@@ -16,7 +16,7 @@ use super::{
     sequence::SequenceRequest,
 };
 use crate::{
-    model::ModelDirectory,
+    model::{ModelDirectory, StyleClassifier},
     motion::{FinishOptions, Finisher, PositionsSource},
 };
 
@@ -47,6 +47,8 @@ impl Entry for AudioRequest {
 pub(crate) struct Preparer {
     pub(crate) directory: Arc<ModelDirectory>,
     pub(crate) frontend: AudioFrontend,
+    /// Finds the style of a song, where the model has a classifier.
+    pub(crate) classifier: Option<StyleClassifier>,
     /// Rows of the batch.
     pub(crate) rows: usize,
     pub(crate) scheduled: Arc<Queue<ScheduledRequest>>,
@@ -75,6 +77,7 @@ impl Preparer {
         if options.music {
             request.prologue.music = conditioning.music_info();
         }
+        let conditioning = self.in_manner(conditioning, &mut request);
         let sink = match request.stream.take() {
             None => {
                 let options = finish_options(&request, self.directory.manifest().fps);
@@ -108,11 +111,29 @@ impl Preparer {
         conditioning: Conditioning,
         mut request: AcceptedRequest,
     ) -> Result<(), EngineError> {
+        let conditioning = self.in_manner(conditioning, &mut request);
         let sink = match request.stream.take() {
             None => MotionSink::Keep(Array2::default((0, 0))),
             Some(stream) => self.open_stream(stream, &request, &conditioning)?,
         };
         self.schedule(request, conditioning, sink)
+    }
+
+    /// Adds the columns of the manner that is asked for, and notes its style.
+    fn in_manner(
+        &self,
+        mut conditioning: Conditioning,
+        request: &mut AcceptedRequest,
+    ) -> Conditioning {
+        let manifest = self.directory.manifest();
+        let features = conditioning.features.view();
+        let (manner, style) = request.options.manner(manifest, self.classifier.as_ref(), features);
+        request.prologue.style = style;
+        let manners = manifest.manners();
+        if manners.columns() > 0 {
+            conditioning.features = manners.beside(features, manner);
+        }
+        conditioning
     }
 
     fn schedule(
@@ -168,6 +189,7 @@ impl Preparer {
                 true => PositionsSource::Decoder,
                 false => PositionsSource::ForwardKinematics,
             },
+            style: prologue.style.clone(),
             music: prologue.music.clone(),
             timings: prologue.timings,
             warnings: prologue.warnings.clone(),

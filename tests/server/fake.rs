@@ -284,6 +284,7 @@ fn opening(options: &GenerationOptions) -> Result<Opening, EngineError> {
         fps: options.fps,
         frames: 8 * options.fps as usize / 60,
         positions_source: PositionsSource::Decoder,
+        style: output.style,
         music: output.music,
         timings: output.timings,
         warnings: output.warnings,
@@ -309,6 +310,7 @@ fn output(options: &GenerationOptions, frames: usize) -> GenerationOutput {
         }),
         tail: Some(Continuation::new("0123", before, [0.0; 2], 0.0)),
         codes,
+        style: None,
         music: options.music.then(|| MusicInfo { tempo_bpm: 120.0, beats_s: vec![0.0, 0.5] }),
         timings: Timings {
             queue: Duration::from_micros(100),

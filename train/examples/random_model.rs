@@ -68,6 +68,7 @@ fn main() -> anyhow::Result<()> {
         count_periods: Vec::new(),
         styles: Vec::new(),
         energy: false,
+        classifier: None,
         start_codes: Vec::new(),
         suppressed_codes: SuppressedCodes::default(),
         temperature: 1.0,

@@ -24,6 +24,7 @@ mod manifest;
 mod manner;
 mod runtime;
 mod session;
+mod style_classifier;
 mod vocabulary;
 mod vqvae;
 
@@ -38,6 +39,7 @@ pub use manifest::{
 };
 pub use manner::{MAX_STYLES, Manner, MannerSpec, NO_STYLE, check_styles};
 pub use runtime::LIBRARY_VARIABLE;
+pub use style_classifier::{STYLES_FILE, StyleClassifier, root_mean_square, song_statistics};
 pub use vocabulary::{SuppressedCodes, Vocabulary};
 pub use vqvae::{Decoder, Encoder, code_pairs};
 

@@ -66,6 +66,12 @@ pub(super) enum Command {
     /// Both predict the codes of the same recordings. scripts/compare-models.sh also compares
     /// generated motion.
     Compare(ReportCommand<CompareOptions>),
+    /// Learn to tell the style of a song, and print what the test songs are taken for
+    ///
+    /// Learns from the training songs of the data folders and writes `styles.json` into the run's
+    /// folder; `export` adds it to the model directory, which then answers `style=auto`. `run` does
+    /// the same where it is missing.
+    Styles(StylesArguments),
     /// Check a folder of training data before hours are spent on it.
     ///
     /// Reads every motion and every song and reports in plain words: missing files, lengths, units
@@ -138,6 +144,16 @@ pub(super) struct SettingsArguments {
     /// Folder of music features [default: `data.cache` of the settings]
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct StylesArguments {
+    #[command(flatten)]
+    pub(super) settings: SettingsArguments,
+
+    /// Print JSON
+    #[arg(long)]
+    pub(super) json: bool,
 }
 
 #[derive(Args, Debug)]
@@ -354,6 +370,7 @@ impl From<ImportArguments> for ImportOptions {
                 count_periods: Vec::new(),
                 styles: Vec::new(),
                 energy: false,
+                classifier: None,
                 start_codes: Vec::new(),
                 suppressed_codes: SuppressedCodes::default(),
                 temperature: arguments.temperature,

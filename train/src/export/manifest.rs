@@ -6,7 +6,7 @@ use bailando::{
     features::{HOP, Profile, Rate},
     model::{
         DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, MannerSpec, SamplingDefaults,
-        SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
+        StyleClassifier, SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
     },
     motion::MotionFrame,
 };
@@ -38,6 +38,8 @@ pub struct Description {
     pub styles: Vec<String>,
     /// Whether it is told energies after these.
     pub energy: bool,
+    /// Finds the style of a song; none where that is left to the caller.
+    pub classifier: Option<StyleClassifier>,
     /// Pairs (upper, lower) to draw a start from; empty: any pair.
     pub start_codes: Vec<[u32; 2]>,
     /// Codes that are never drawn.

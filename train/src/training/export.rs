@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 
 use super::{
     calibrate::input_ranges, config::Config, error::TrainError, frozen::FrozenVqVae,
-    kept::fingerprint, policy::Policy, stage::Stage, suppress::suppressed_codes,
-    velocity::Decoders,
+    kept::fingerprint, policy::Policy, song_styles::read_classifier, stage::Stage,
+    suppress::suppressed_codes, velocity::Decoders,
 };
 use crate::{
     export::{Description, ExportError, write_model_directory},
@@ -52,6 +52,7 @@ pub(super) fn write<const N: usize>(
         count_periods: config.data.count_periods.clone(),
         styles: policy.manners.styles.clone(),
         energy: policy.manners.energy,
+        classifier: read_classifier(config, &policy.manners.styles)?,
         start_codes: allowed_starts(&policy.starts, &suppressed_codes),
         suppressed_codes,
         temperature: config.export.temperature,
@@ -142,9 +143,11 @@ pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
         && manifest.sampling == sampling
         && manifest.skeleton.root_height == asked.root_height
         && manifest.suppressed_codes == suppressed_codes(config)?;
+    let classifier = read_classifier(config, &manifest.styles)?;
+    let same_styles = directory.style_classifier().is_ok_and(|known| known == classifier);
     let of = |entry: &str| manifest.training.get(entry);
     let made_of = of(CHECKPOINTS) == Some(&checkpoints(config)?);
-    Ok(described && made_of && of(SETTINGS) == Some(&settings(config)?))
+    Ok(described && same_styles && made_of && of(SETTINGS) == Some(&settings(config)?))
 }
 
 /// Returns the weights of a finished run, and the pairs of codes that its training pieces begin

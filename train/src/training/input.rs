@@ -81,7 +81,7 @@ fn facts<S>(recording: &Recording<S>, styles: &[String]) -> PieceFacts {
 }
 
 /// Returns the names of the styles of a portion, ascending.
-fn styles<S: SplitKind>(portion: &Portion<S>) -> Vec<String> {
+pub(super) fn style_names<S: SplitKind>(portion: &Portion<S>) -> Vec<String> {
     let styles = portion.recordings().iter().filter_map(|dance| dance.marks().style.clone());
     styles.collect::<BTreeSet<_>>().into_iter().collect()
 }
@@ -195,7 +195,7 @@ impl MotionSet {
             Load::Music => config.gpt.quantise_frames,
             Load::Motion | Load::Songs => 0,
         };
-        let styles = styles(&training);
+        let styles = style_names(&training);
         let failed = |message: String| {
             let path = data.all_folders().swap_remove(0).path;
             TrainError::Data { path, message }

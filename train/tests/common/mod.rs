@@ -83,6 +83,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             count_periods: Vec::new(),
             styles: Vec::new(),
             energy: false,
+            classifier: None,
             start_codes: Vec::new(),
             suppressed_codes: SuppressedCodes::default(),
             temperature: 0.0,
