@@ -32,8 +32,8 @@ pub struct GenerationOptions {
     pub style: Option<String>,
     /// Energy of the dance within its style, from 0 to 1; as the model likes where it is absent.
     pub energy: Option<f32>,
-    /// How strongly the dance follows the music's time, and the style: 1 as the model predicts, more exaggerates
-    /// it, less hides it; other than 1 costs twice as much.
+    /// How strongly the dance follows the music's time and the style: 1 as the model predicts, more
+    /// exaggerates both, less hides them; other than 1 costs twice as much.
     pub guidance: Option<f32>,
     /// Candidates for every segment, two to four seconds. The best is kept: its beats lie nearest
     /// to the music's, and few of its frames stand still.

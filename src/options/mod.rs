@@ -175,8 +175,9 @@ mod tests {
     #[test]
     fn every_option_is_read() {
         let options = query(
-            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&style=krump&energy=0.75&guidance=2.5\
-             &candidates=3&redo=false&start_upper=1&start_lower=2\
+            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7\
+             &style=krump&energy=0.75&guidance=2.5&candidates=3&redo=false\
+             &start_upper=1&start_lower=2\
              &continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA&window=sliding&hop=15&offset_s=1.5\
              &duration_s=2e1&root_motion=false\
              &music=true&include=rotations&encoding=base64&bvh_unit=m&skeleton=vrm\
