@@ -80,7 +80,7 @@ impl Window {
         let pair = |step: usize| [(step * 7 % vocabulary) as u32; 2];
         Self {
             codes: (0..context).map(pair).collect(),
-            music: noise(context, manifest.features.columns, 0),
+            music: noise(context, manifest.conditioning_columns(), 0),
         }
     }
 

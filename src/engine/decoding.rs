@@ -40,6 +40,8 @@ pub(crate) struct Prologue {
     /// Frames of decoded motion that are wanted, once the length of the song is known.
     pub(crate) length: Option<usize>,
     pub(crate) music: Option<MusicInfo>,
+    /// Style of the dance; none from a model without styles.
+    pub(crate) style: Option<String>,
     pub(crate) timings: Timings,
     pub(crate) warnings: Vec<String>,
     /// The request's span.
@@ -60,6 +62,7 @@ impl Prologue {
             root_motion: options.root_motion,
             length: None,
             music: None,
+            style: None,
             timings: Timings::default(),
             warnings: Vec::new(),
             span: Span::current(),
@@ -151,6 +154,7 @@ impl MotionBuffer {
             seed: prologue.seed,
             codes: halves(codes),
             motion,
+            style: prologue.style.take(),
             music: prologue.music.take(),
             timings: prologue.timings,
             warnings: std::mem::take(&mut prologue.warnings),

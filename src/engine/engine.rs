@@ -122,6 +122,7 @@ impl Engine {
         threads::start_scheduler(scheduler, Arc::clone(&scheduled))?;
         let features = directory.manifest().features.clone();
         let preparer = Preparer {
+            classifier: directory.style_classifier()?,
             frontend: AudioFrontend::new(features, config.audio.clone(), config.effort),
             directory,
             rows: config.batch,

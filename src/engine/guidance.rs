@@ -2,7 +2,7 @@
 
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis, Slice};
 
-use crate::features::COLUMNS;
+use crate::{features::COLUMNS, model::MannerSpec};
 
 /// Rows of the batch that one sequence takes: a second one without the music's time where it is
 /// guided.
@@ -10,7 +10,7 @@ pub(crate) fn branches(guidance: f32) -> usize {
     1 + usize::from(guidance != 1.0)
 }
 
-/// The conditioning without its time, and how far a sequence is guided away from it.
+/// The conditioning without its time and manner, and how far a sequence is guided away from it.
 #[derive(Clone, Debug)]
 pub(crate) struct ClassifierFreeGuidance {
     guidance: f32,
@@ -18,17 +18,25 @@ pub(crate) struct ClassifierFreeGuidance {
 }
 
 impl ClassifierFreeGuidance {
-    /// Guidance for feature rows `[rows, columns]`; none for 1, which is the model as it is.
+    /// Guidance for feature rows `[rows, columns]`, the columns of these manners last; none for 1,
+    /// which is the model as it is.
     ///
     /// Without time the rows are their mean. Where the model is conditioned on counts, only those
-    /// columns are: the song stays known, and only the place of its beats is left out.
-    pub(crate) fn new(guidance: f32, music: ArrayView2<'_, f32>) -> Option<Self> {
+    /// columns are: the song stays known, and only the place of its beats is left out. Style and
+    /// energy are not given at all, so that guidance strengthens them too.
+    pub(crate) fn new(
+        guidance: f32,
+        music: ArrayView2<'_, f32>,
+        manners: MannerSpec,
+    ) -> Option<Self> {
         if guidance == 1.0 {
             return None;
         }
-        let first = if music.ncols() > COLUMNS { COLUMNS } else { 0 };
+        let end = music.ncols() - manners.columns();
+        let first = if end > COLUMNS { COLUMNS } else { 0 };
         let mut timeless = music.to_owned();
-        let mut timed = timeless.slice_axis_mut(Axis(1), Slice::from(first..));
+        timeless.slice_axis_mut(Axis(1), Slice::from(end..)).fill(0.0);
+        let mut timed = timeless.slice_axis_mut(Axis(1), Slice::from(first..end));
         let mean = timed.mean_axis(Axis(0))?;
         timed.rows_mut().into_iter().for_each(|mut row| row.assign(&mean));
         Some(Self { guidance, timeless })
@@ -58,12 +66,31 @@ mod tests {
 
     use super::*;
 
+    const NONE: MannerSpec = MannerSpec { styles: 0, energy: false };
+
+    #[test]
+    fn without_time_no_style_is_given() {
+        let styles = MannerSpec { styles: 2, energy: false };
+        for columns in [2, COLUMNS, COLUMNS + 2] {
+            let music = Array2::from_shape_fn((4, columns), |(row, _)| row as f32);
+            let style = Array2::from_shape_fn((4, 2), |(_, column)| column as f32);
+            let with_style = ndarray::concatenate![Axis(1), music, style];
+            let timeless = |music: &Array2<f32>, manners| {
+                let guide = ClassifierFreeGuidance::new(2.0, music.view(), manners).unwrap();
+                guide.timeless().to_owned()
+            };
+            let wanted =
+                ndarray::concatenate![Axis(1), timeless(&music, NONE), Array2::zeros((4, 2))];
+            assert_eq!(timeless(&with_style, styles), wanted);
+        }
+    }
+
     #[test]
     fn a_song_without_time_keeps_all_but_its_counts() {
         let music = Array2::from_shape_fn((3, COLUMNS + 2), |(row, column)| {
             (row * row) as f32 + column as f32
         });
-        let guide = ClassifierFreeGuidance::new(2.0, music.view()).unwrap();
+        let guide = ClassifierFreeGuidance::new(2.0, music.view(), NONE).unwrap();
         let timeless = guide.timeless();
         assert_eq!(
             timeless.slice_axis(Axis(1), Slice::from(..COLUMNS)),
@@ -79,9 +106,9 @@ mod tests {
     #[test]
     fn without_counts_all_of_a_song_is_its_mean() {
         let music = array![[0.0, 4.0], [2.0, 8.0]];
-        let guide = ClassifierFreeGuidance::new(0.5, music.view()).unwrap();
+        let guide = ClassifierFreeGuidance::new(0.5, music.view(), NONE).unwrap();
         assert_eq!(guide.timeless(), array![[1.0, 6.0], [1.0, 6.0]]);
-        assert!(ClassifierFreeGuidance::new(1.0, music.view()).is_none());
+        assert!(ClassifierFreeGuidance::new(1.0, music.view(), NONE).is_none());
     }
 
     #[test]

@@ -45,6 +45,7 @@ pub use engine::{DEFAULT_BATCH, Engine, EngineConfig};
 pub use error::EngineError;
 pub use observer::Observer;
 pub use options::GenerationOptions;
+pub(crate) use options::accepted_styles;
 pub use progress::{MotionStream, Opening, Progress, Stage};
 pub use request::{GenerationOutput, GenerationRequest, MotionOutput, MusicSource};
 pub use sampler::MAX_SEED;

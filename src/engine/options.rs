@@ -1,5 +1,7 @@
 //! What a caller may choose about a generation.
 
+use ndarray::ArrayView2;
+
 use super::{
     EngineError,
     guidance::branches,
@@ -9,7 +11,10 @@ use super::{
 use crate::{
     audio::AudioRange,
     formats::Continuation,
-    model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, Vocabulary, WindowKind},
+    model::{
+        MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, Manner, NO_STYLE, StyleClassifier,
+        Vocabulary, WindowKind,
+    },
     motion::{self, PositionsSource},
 };
 
@@ -22,8 +27,13 @@ pub struct GenerationOptions {
     pub temperature: Option<f32>,
     /// Draw from this many most likely codes.
     pub top_k: Option<usize>,
-    /// How strongly the dance follows the music's time: 1 as the model predicts, more exaggerates
-    /// it, less hides it; other than 1 costs twice as much.
+    /// One of the model's styles; `auto`, as where it is absent, takes that of the music, `mixed`
+    /// none.
+    pub style: Option<String>,
+    /// Energy of the dance within its style, from 0 to 1; as the model likes where it is absent.
+    pub energy: Option<f32>,
+    /// How strongly the dance follows the music's time and the style: 1 as the model predicts, more
+    /// exaggerates both, less hides them; other than 1 costs twice as much.
     pub guidance: Option<f32>,
     /// Candidates for every segment, two to four seconds. The best is kept: its beats lie nearest
     /// to the music's, and few of its frames stand still.
@@ -82,6 +92,8 @@ impl Default for GenerationOptions {
             seed: None,
             temperature: None,
             top_k: None,
+            style: None,
+            energy: None,
             guidance: None,
             candidates: None,
             redo: None,
@@ -129,6 +141,7 @@ impl GenerationOptions {
     /// [`EngineError::Option`] names the first option that does not fit, and what does.
     pub fn check(&self, manifest: &Manifest, batch: usize) -> Result<(), EngineError> {
         self.check_sampling(manifest)?;
+        self.check_manner(manifest)?;
         self.check_batch(manifest, batch)?;
         self.check_start(manifest.vocabulary)?;
         self.check_tail(manifest)?;
@@ -167,6 +180,43 @@ impl GenerationOptions {
         check_between("candidates", self.candidates, 1, MAX_CANDIDATES)?;
         check_between("top_k", self.top_k, 1, upper.max(lower))?;
         check_between("hop", self.hop, 1, manifest.gpt.context)
+    }
+
+    /// Style and energy must be known to the model.
+    fn check_manner(&self, manifest: &Manifest) -> Result<(), EngineError> {
+        let known = |style: &&String| !accepted_styles(&manifest.styles).contains(&style.as_str());
+        if let Some(style) = self.style.as_ref().filter(known) {
+            let accepted = accepted_styles(&manifest.styles).join(", ");
+            return refuse("style", format!("{style:?} is not one of {accepted}"));
+        }
+        match self.energy {
+            Some(_) if !manifest.energy => {
+                refuse("energy", "this model cannot be asked for more or less of it".into())
+            }
+            Some(energy) if !(0.0..=1.0).contains(&energy) => {
+                refuse("energy", format!("{energy} is not between 0 and 1"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Returns the manner that is asked for, and the name of its style, to music of these rows;
+    /// no name from a model without styles.
+    pub(super) fn manner(
+        &self,
+        manifest: &Manifest,
+        classifier: Option<&StyleClassifier>,
+        music: ArrayView2<'_, f32>,
+    ) -> (Manner, Option<String>) {
+        let styles = &manifest.styles;
+        let [auto, mixed] = NO_STYLE;
+        let style = match self.style.as_deref().unwrap_or(auto) {
+            asked if asked == auto => classifier.and_then(|classifier| classifier.style(music)),
+            asked => styles.iter().position(|style| style == asked),
+        };
+        let name = style.and_then(|style| styles.get(style)).map_or(mixed, String::as_str);
+        let manner = Manner { style, energy: self.energy };
+        (manner, (!styles.is_empty()).then(|| name.to_owned()))
     }
 
     /// Sequences that are computed side by side must fit into the batch.
@@ -249,6 +299,15 @@ impl GenerationOptions {
         };
         refuse("continue_from", problem.into())
     }
+}
+
+/// Returns what the option `style` accepts of a model with these styles.
+pub(crate) fn accepted_styles(styles: &[String]) -> Vec<&str> {
+    let no_style = match styles {
+        [] => &NO_STYLE[..1],
+        _ => &NO_STYLE[..],
+    };
+    no_style.iter().copied().chain(styles.iter().map(String::as_str)).collect()
 }
 
 fn refuse(name: &'static str, problem: String) -> Result<(), EngineError> {

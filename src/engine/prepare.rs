@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     audio::AudioRange,
-    model::{Manifest, ModelDirectory},
+    model::{Manifest, ModelDirectory, StyleClassifier},
     motion::{FinishOptions, Finisher},
 };
 
@@ -48,6 +48,8 @@ impl Entry for AudioRequest {
 pub(crate) struct Preparer {
     pub(crate) directory: Arc<ModelDirectory>,
     pub(crate) frontend: AudioFrontend,
+    /// Finds the style of a song, where the model has a classifier.
+    pub(crate) classifier: Option<StyleClassifier>,
     /// Rows of the batch.
     pub(crate) rows: usize,
     pub(crate) scheduled: Arc<Queue<ScheduledRequest>>,
@@ -85,6 +87,7 @@ impl Preparer {
         if lead == 0 && !request.prologue.prompt.codes.is_empty() {
             conditioning = conditioning.after_prompt(manifest.frames_per_code);
         }
+        let conditioning = self.in_manner(conditioning, &mut request);
         let sink = match request.stream.take() {
             None => {
                 let options = finish_options(&request, manifest.fps);
@@ -122,11 +125,29 @@ impl Preparer {
             let per_code = self.directory.manifest().frames_per_code;
             conditioning = conditioning.after_prompt(per_code);
         }
+        let conditioning = self.in_manner(conditioning, &mut request);
         let sink = match request.stream.take() {
             None => MotionSink::Keep(Array2::default((0, 0))),
             Some(stream) => self.open_stream(stream, &request, &conditioning)?,
         };
         self.schedule(request, conditioning, sink)
+    }
+
+    /// Adds the columns of the manner that is asked for, and notes its style.
+    fn in_manner(
+        &self,
+        mut conditioning: Conditioning,
+        request: &mut AcceptedRequest,
+    ) -> Conditioning {
+        let manifest = self.directory.manifest();
+        let features = conditioning.features.view();
+        let (manner, style) = request.options.manner(manifest, self.classifier.as_ref(), features);
+        request.prologue.style = style;
+        let manners = manifest.manners();
+        if manners.columns() > 0 {
+            conditioning.features = manners.beside(features, manner);
+        }
+        conditioning
     }
 
     fn schedule(
@@ -178,6 +199,7 @@ impl Preparer {
             fps: finish.fps,
             frames: frames as usize,
             positions_source: finish.positions,
+            style: prologue.style.clone(),
             music: prologue.music.clone(),
             timings: prologue.timings,
             warnings: prologue.warnings.clone(),

@@ -62,6 +62,8 @@ pub struct Opening {
     pub frames: usize,
     /// Where positions come from.
     pub positions_source: PositionsSource,
+    /// Style of the dance, or `mixed`; none from a model without styles.
+    pub style: Option<String>,
     /// Tempo and beats, when asked for.
     pub music: Option<MusicInfo>,
     /// Wall time of the stages so far.

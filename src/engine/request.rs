@@ -80,6 +80,8 @@ pub struct GenerationOutput {
     pub codes: Codes,
     /// The motion.
     pub motion: MotionOutput,
+    /// Style of the dance, or `mixed`; none from a model without styles.
+    pub style: Option<String>,
     /// Tempo and beats, when asked for.
     pub music: Option<MusicInfo>,
     /// Wall time per stage.
@@ -120,6 +122,7 @@ impl GenerationOutput {
             positions: finished.positions,
             positions_source: finished.source,
             codes: self.codes,
+            style: self.style,
             music: self.music,
             timings: self.timings,
             warnings: self.warnings,

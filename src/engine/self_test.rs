@@ -30,7 +30,7 @@ pub(crate) fn test_window(
     let context = manifest.gpt.context;
     let (first, last) = ([0; 2], sizes.map(|size| (size - 1) as u32));
     let codes: Vec<_> = [last, first].into_iter().cycle().take(context).collect();
-    let music = Array2::zeros((context, manifest.features.columns));
+    let music = Array2::zeros((context, manifest.conditioning_columns()));
     let (newest, before) = (codes[context - 1], &codes[..context - 1]);
     model.clear(0);
     if !before.is_empty() {

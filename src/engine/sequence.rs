@@ -118,6 +118,7 @@ impl Sequence {
             guidance: ClassifierFreeGuidance::new(
                 params.guidance,
                 request.conditioning.features.view(),
+                manifest.manners(),
             ),
             plan: if request.soon { plan.soon() } else { plan },
             request,

@@ -20,6 +20,8 @@ pub(crate) enum Accepts {
     Boolean,
     /// The end of an earlier result.
     Tail,
+    /// A name whose model says whether it knows it.
+    Style,
 }
 
 impl Accepts {
@@ -35,6 +37,7 @@ impl Accepts {
             Self::PositiveNumber => number().is_some_and(|value| value > 0.0),
             Self::Boolean => boolean(text).is_some(),
             Self::Tail => text.parse::<Continuation>().is_ok(),
+            Self::Style => !text.is_empty(),
         }
     }
 
@@ -59,6 +62,7 @@ impl Accepts {
             Self::PositiveNumber => of(Type::Number).exclusive_minimum(Some(0)),
             Self::Boolean => of(Type::Boolean),
             Self::Tail => of(Type::String).pattern(Some("^[A-Za-z0-9_-]{31,1024}$")),
+            Self::Style => of(Type::String).pattern(Some("^[a-z0-9-]{1,32}$")),
         }
         .build()
     }
@@ -87,6 +91,7 @@ impl fmt::Display for Accepts {
             Self::PositiveNumber => f.write_str("a number above 0"),
             Self::Boolean => f.write_str("true or false"),
             Self::Tail => f.write_str("the `tail` that came with an earlier dance"),
+            Self::Style => f.write_str("auto, or a style of the model"),
         }
     }
 }

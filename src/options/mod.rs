@@ -5,6 +5,7 @@ mod accepts;
 mod args;
 mod table;
 
+pub(crate) use self::accepts::Accepts;
 use self::table::PositionsOption;
 pub use self::table::RequestOptions;
 pub(crate) use self::table::{OPTIONS, OptionSpec, Section};
@@ -181,8 +182,9 @@ mod tests {
     #[test]
     fn every_option_is_read() {
         let options = query(
-            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5\
-             &candidates=3&redo=false&start_upper=1&start_lower=2\
+            "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7\
+             &style=krump&energy=0.75&guidance=2.5&candidates=3&redo=false\
+             &start_upper=1&start_lower=2\
              &continue_from=AgEjRWcAAABAPwAAAAAAAAAAAAEAAgA&window=sliding&hop=15&offset_s=1.5\
              &duration_s=2e1&root_motion=false&clean=false&positions=decoder\
              &music=true&include=rotations&encoding=base64&bvh_unit=m&skeleton=vrm\
@@ -209,6 +211,8 @@ mod tests {
                 seed: Some(MAX_SEED),
                 temperature: Some(0.5),
                 top_k: Some(7),
+                style: Some("krump".into()),
+                energy: Some(0.75),
                 guidance: Some(2.5),
                 candidates: Some(3),
                 redo: Some(false),
@@ -264,6 +268,8 @@ mod tests {
             ("temperature=1e300", "option `temperature`"),
             ("temperature=-0.1", "option `temperature`"),
             ("guidance=11", "option `guidance`"),
+            ("energy=1.5", "option `energy`: got \"1.5\", expected a number from 0 to 1"),
+            ("style=", "option `style`: got \"\", expected auto, or a style of the model"),
             ("candidates=17", "`candidates`: got \"17\", expected a whole number from 1 to 16"),
             ("top_k=0", "expected a whole number from 1 to"),
             ("start_upper=4294967296", "option `start_upper`"),

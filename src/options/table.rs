@@ -49,7 +49,9 @@ macro_rules! from_text {
     };
 }
 
-from_text! { f32 f64 u32 u64 usize BvhUnit Encoding OutputFormat TargetSkeleton Continuation }
+from_text! {
+    f32 f64 u32 u64 usize String BvhUnit Encoding OutputFormat TargetSkeleton Continuation
+}
 
 impl FromText for bool {
     fn from_text(text: &str) -> Option<Self> {
@@ -162,9 +164,15 @@ options! {
         temperature: f32, Accepts::Number(MAX_TEMPERATURE as f64), MODEL,
             "0 takes the most likely pose code, as in the paper; higher values vary more.";
         top_k: usize, ANY_COUNT, MODEL, "Draw from this many most likely pose codes only.";
+        style: String, Accepts::Style, "auto",
+            "Style of the dance: one of the model's (`GET /info` lists them), `auto` for that of \
+             the music, or `mixed` for none of them.";
+        energy: f32, Accepts::Number(1.0), MODEL,
+            "Energy of the dance, from 0 for the calmest of its style to 1 for the wildest; not \
+             every model knows it.";
         guidance: f32, Accepts::Number(MAX_GUIDANCE as f64), MODEL,
-            "How strongly the motion follows the music's beat: 1 as the model says, more \
-             exaggerates it, less weakens it; any value but 1 doubles the cost.";
+            "How strongly the motion follows the music's beat, and the style: 1 as the model \
+             says, more exaggerates both, less weakens them; any value but 1 doubles the cost.";
         candidates: usize, Accepts::Integer(1, MAX_CANDIDATES as u64), MODEL,
             "Candidates for every two to four seconds of motion. The one with the beats nearest to \
              the music's and the fewest frozen frames is kept; the cost grows with their number.";

@@ -58,6 +58,12 @@ struct ModelInfo {
     /// Pose codes per second of music.
     codes_per_second: f64,
     vocabulary: VocabularyInfo,
+    /// Styles that the option `style` accepts beside `auto` and `mixed`; none where the model has
+    /// none.
+    #[schema(example = json!(["house", "krump"]))]
+    styles: Vec<String>,
+    /// Whether the option `energy` is accepted.
+    energy: bool,
     /// Longest history in pose codes.
     context: usize,
     sampling: SamplingInfo,
@@ -113,7 +119,7 @@ impl Info {
             version: env!("CARGO_PKG_VERSION"),
             model: ModelInfo::new(manifest, sha256),
             frame_rates: FRAME_RATES,
-            options: options::describe(),
+            options: options::describe(&manifest.styles),
             formats: OutputFormat::ALL
                 .map(|format| FormatInfo {
                     name: format.name(),
@@ -143,6 +149,8 @@ impl ModelInfo {
                 upper: manifest.vocabulary.upper,
                 lower: manifest.vocabulary.lower,
             },
+            styles: manifest.styles.clone(),
+            energy: manifest.energy,
             context: manifest.gpt.context,
             sampling: SamplingInfo {
                 temperature: sampling.temperature,

@@ -12,7 +12,10 @@ use utoipa::{
 
 use super::error::ServerError;
 pub(crate) use crate::options::{LONGEST_VALUE, RequestOptions, shorten};
-use crate::options::{OPTIONS, OptionSpec};
+use crate::{
+    engine::accepted_styles,
+    options::{Accepts, OPTIONS, OptionSpec},
+};
 
 impl RequestOptions {
     /// Takes all options of a query string.
@@ -77,12 +80,15 @@ pub(crate) struct OptionInfo {
     default: &'static str,
 }
 
-/// All options, as `GET /info` shows them.
-pub(crate) fn describe() -> Vec<OptionInfo> {
+/// All options, as `GET /info` shows them for a model with these styles.
+pub(crate) fn describe(styles: &[String]) -> Vec<OptionInfo> {
     let describe = |option: &OptionSpec| OptionInfo {
         name: option.name,
         description: option.about,
-        accepts: option.accepts.to_string(),
+        accepts: match option.accepts {
+            Accepts::Style => format!("one of {}", accepted_styles(styles).join(", ")),
+            accepts => accepts.to_string(),
+        },
         default: option.default,
     };
     OPTIONS.iter().map(describe).collect()

@@ -5,6 +5,7 @@ mod batching;
 mod dancer_frame;
 mod refusals;
 mod sampling;
+mod styles;
 
 use std::path::{Path, PathBuf};
 

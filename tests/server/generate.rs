@@ -151,7 +151,8 @@ async fn wrong_options_are_refused_before_any_work() {
     let fake = Fake::new();
     let app = app(&fake, &Limits::default());
     let wrong = "fps=25 seed=-1 temperature=hot top_k=0 guidance=-1 candidates=0 \
-                 start_upper=512 window=wide hop=29 offset_s=-1 duration_s=0 root_motion=2 \
+                 style=waltz energy=2 energy=0.5 start_upper=512 window=wide hop=29 offset_s=-1 \
+                 duration_s=0 root_motion=2 \
                  include=all encoding=hex bvh_unit=inch continue_from=abc format=mp4 \
                  skeleton=maya mannequin=2 \
                  no_such_option=1 seed=1&seed=2 seed seed=%FF";

@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use bailando::model::{Gpt, Logits, ModelDirectory, ModelError, Steps, code_pairs};
+use bailando::model::{
+    Gpt, Logits, Manner, MannerSpec, ModelDirectory, ModelError, Steps, code_pairs,
+};
 use clap::Args;
 use ndarray::{Array2, ArrayView2, Axis, Slice};
 
@@ -43,6 +45,8 @@ pub(crate) struct Pair {
     pub(crate) dance: usize,
     pub(crate) codes: [Vec<u32>; 2],
     pub(crate) rows: Array2<f32>,
+    /// The recording's style, where the model knows it.
+    pub(crate) manner: Manner,
     pub(crate) bpm: Option<f64>,
 }
 
@@ -63,6 +67,8 @@ pub(crate) fn pairs<S: SplitKind>(
         let motion = dance.motion(portion.skeleton())?;
         let columns = columns(&motion, manifest.motion_frame)?;
         let codes = encoder.encode(columns.view())?;
+        let style = dance.marks().style.as_ref();
+        let style = manifest.styles.iter().position(|known| Some(known) == style);
         let half = |half: usize| codes.iter().map(|pair| pair[half]).collect::<Vec<_>>();
         for song in dance.songs() {
             let Some(music) = &song.music else { continue };
@@ -70,6 +76,7 @@ pub(crate) fn pairs<S: SplitKind>(
                 dance: place,
                 codes: [half(0), half(1)],
                 rows: library.conditioning(music, 0)?,
+                manner: Manner { style, energy: None },
                 bpm: bpm(song),
             });
         }
@@ -97,11 +104,14 @@ pub(crate) type Prediction<'pair> = (Logits, [&'pair [u32]; 2]);
 pub(crate) struct Predictor {
     gpt: Gpt,
     block: usize,
+    manners: MannerSpec,
 }
 
 impl Predictor {
     pub(crate) fn open(directory: &ModelDirectory) -> Result<Self, ModelError> {
-        Ok(Self { gpt: directory.gpt(1)?, block: directory.manifest().gpt.block })
+        let manifest = directory.manifest();
+        let (block, manners) = (manifest.gpt.block, manifest.manners());
+        Ok(Self { gpt: directory.gpt(1)?, block, manners })
     }
 
     /// Returns the scores of every window that has rows, beside the true codes.
@@ -112,6 +122,7 @@ impl Predictor {
     ) -> Result<Vec<Prediction<'pair>>, ModelError> {
         let block = self.block;
         let [upper, lower] = &pair.codes;
+        let rows = self.manners.beside(rows, pair.manner);
         // A window's last code is only predicted, and needs no row.
         let codes = upper.len().saturating_sub(1).min(rows.nrows().saturating_sub(1));
         let windows = crop_starts(codes, block, block).map(|start| {

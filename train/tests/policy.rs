@@ -42,6 +42,7 @@ fn motion_set() -> MotionSet {
         training: Motions::new([0.0, 0.7, 1.9].map(piece).into()),
         test: None,
         songs: [0.0, 0.7, 1.9].map(song).into(),
+        styles: Vec::new(),
     }
 }
 
@@ -53,7 +54,8 @@ fn music(phase: f32) -> Array2<f32> {
 
 /// A beat every half second.
 fn song(phase: f32) -> Song {
-    Song { rows: music(phase), beats: (0..480).map(|frame| frame % 30 == 0).collect() }
+    let beats = (0..480).map(|frame| frame % 30 == 0).collect();
+    Song { rows: music(phase), beats, style: None }
 }
 
 /// A run with its first three stages done.

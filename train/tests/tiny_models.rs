@@ -3,19 +3,22 @@
 //!
 //! `UPDATE_MODELS=1 cargo test -p bailando-train --test main tiny_models` writes them again.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use crate::common::{
-    dancer::{counting, turning},
-    fixture, imported, options,
+    dancer::{counting, turning, widened},
+    fixture, imported, options, vqvae,
 };
 use bailando::{
-    features::Profile,
-    model::{SuppressedCodes, WeightStorage},
+    features::{COLUMNS, Profile},
+    model::{ModelDirectory, StyleClassifier, SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
 use bailando_testkit::{
-    model::{tiny, tiny_dancer},
+    model::{tiny, tiny_dancer, tiny_styles},
     shared,
 };
 use bailando_train::{
@@ -25,6 +28,7 @@ use bailando_train::{
 };
 
 const FILES: [&str; 4] = ["manifest.json", "gpt.onnx", "decoder.onnx", "encoder.onnx"];
+const STYLES: [&str; 3] = ["house", "krump", "lock"];
 const COUNT_PERIODS: [u32; 2] = [1, 4];
 
 /// Writes the model of the golden checkpoints.
@@ -56,6 +60,41 @@ fn write_tiny_dancer(out: &Path) {
     write_model_directory(out, true, &gpt, &ranges, &turning(), &description).unwrap();
 }
 
+/// Writes a model of styles and energies, with a classifier of songs.
+fn write_tiny_styles(out: &Path) {
+    // Two columns for a period of counts, one for each style, two for the energy.
+    let gpt = widened(2 + STYLES.len() + 2, 20.0);
+    let description = Description {
+        name: "tiny styles".into(),
+        profile: Profile::Librosa011,
+        count_periods: vec![4],
+        styles: STYLES.map(str::to_owned).into(),
+        energy: true,
+        classifier: Some(classifier()),
+        temperature: 1.0,
+        ..options(Path::new(""), Path::new(""), out).description
+    };
+    let ranges = InputRanges::default();
+    write_model_directory(out, true, &gpt, &ranges, &vqvae(), &description).unwrap();
+}
+
+/// The mean of a feature column is high in each style.
+fn classifier() -> StyleClassifier {
+    let statistics = 2 * COLUMNS;
+    let weights = |style: usize| {
+        (0..statistics).map(move |place| if place == style { 2.0 } else { 0.0 }).collect()
+    };
+    StyleClassifier {
+        styles: STYLES.map(str::to_owned).into(),
+        mean: vec![0.0; statistics],
+        spread: vec![1.0; statistics],
+        weights: (0..STYLES.len()).map(weights).collect(),
+        bias: vec![0.0; STYLES.len()],
+        least: 0.6,
+        farthest: 100.0,
+    }
+}
+
 /// Fails where a file of two model directories differs.
 fn assert_same_files(found: &Path, expected: &Path, what: &str) {
     for name in FILES {
@@ -66,9 +105,12 @@ fn assert_same_files(found: &Path, expected: &Path, what: &str) {
 
 #[test]
 fn the_tiny_models_are_what_the_trainer_writes() {
-    for (model, write) in
-        [(tiny(), write_tiny as fn(&Path)), (tiny_dancer(), write_tiny_dancer as fn(&Path))]
-    {
+    let models: [(PathBuf, fn(&Path)); 3] = [
+        (tiny(), write_tiny),
+        (tiny_dancer(), write_tiny_dancer),
+        (tiny_styles(), write_tiny_styles),
+    ];
+    for (model, write) in models {
         if std::env::var_os("UPDATE_MODELS").is_some() {
             write(&model);
         }
@@ -77,6 +119,11 @@ fn the_tiny_models_are_what_the_trainer_writes() {
         write(&written);
         assert_same_files(&written, &model, "written anew");
     }
+    let [written, kept] = [
+        classifier(),
+        ModelDirectory::open(&tiny_styles()).unwrap().style_classifier().unwrap().unwrap(),
+    ];
+    assert_eq!(written, kept);
 }
 
 #[test]

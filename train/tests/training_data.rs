@@ -9,8 +9,9 @@ use std::{
 use crate::common::alone;
 use crate::testing::{FRAMES, TestFolder, clicks, dance};
 use bailando_train::{
+    data::DataFolder,
     export::skeleton,
-    training::{Config, Limits, Load, MotionFrame, MotionSet, Outcome, Stage, train},
+    training::{Config, Limits, Load, MotionFrame, MotionSet, Outcome, Stage, export, train},
 };
 use safetensors::SafeTensors;
 use serde_json::json;
@@ -84,6 +85,63 @@ fn our_own_folder_trains_in_the_dancers_frame_and_computes_its_music_once() {
     let mut report = Vec::new();
     MotionSet::read(&config, Load::Music, &mut report).unwrap();
     assert!(report.is_empty(), "all of it is in the cache");
+}
+
+/// A folder of a style of its own, with ids and motions that no other has.
+fn of_style(style: &str, seed: u32) -> TestFolder {
+    let mut folder = TestFolder::good(&skeleton(0.93));
+    for (number, name) in (0..).zip(["one", "two", "three"]) {
+        folder.motion(&format!("{name}.npy"), &dance(&skeleton(0.93), FRAMES, seed + number));
+    }
+    for id in ["one_a", "one_b", "two_a", "three_a"] {
+        folder.set(id, "style", json!(style));
+        folder.set(id, "phrases", json!([{"clip": "x", "start_frame": 0, "bars": 4}]));
+        folder.set(id, "damaged", json!([[100, 180]]));
+        folder.set(id, "id", json!(format!("{style}_{id}")));
+    }
+    folder
+}
+
+#[test]
+fn two_folders_make_a_model_of_their_styles() {
+    let _alone = alone();
+    let folders = [of_style("sway", 10), of_style("bounce", 20)];
+    let out = tempfile::tempdir().unwrap();
+    let mut config = config(folders[0].write(), out.path());
+    config.data.folders = vec![
+        DataFolder { path: folders[0].write().to_owned(), weight: 1.0 },
+        DataFolder { path: folders[1].write().to_owned(), weight: 2.0 },
+    ];
+    config.export.folder = out.path().join("model");
+    config.actor_critic.enabled = false;
+    (config.gpt.styles, config.gpt.energy) = (true, true);
+    (config.gpt.style_drop, config.gpt.recombine) = (0.3, 0.5);
+    for balance in
+        [&mut config.vqvae.balance, &mut config.velocity.balance, &mut config.gpt.balance]
+    {
+        (balance.styles, balance.phrases) = (1.0, 0.5);
+        (balance.still, balance.damaged) = (0.5, 0.5);
+    }
+    let report = run(&config);
+    assert!(report.contains("codes of 4/4 motions"), "{report}");
+    assert_eq!(shape(&config, "gpt", "music.mean"), [438 + 2 + 2]);
+    let manifest = export(&config, false).unwrap();
+    assert_eq!(manifest.styles, ["bounce", "sway"]);
+    assert!(manifest.energy);
+    assert_eq!((manifest.features.columns, manifest.conditioning_columns()), (438, 442));
+
+    // Another weight is another training, and so is another style.
+    let refused = |config: &Config| {
+        let set = MotionSet::read(config, Load::Music, &mut Vec::new()).unwrap();
+        let trained = train(Stage::Gpt, config, &set, None, Limits::default(), &mut Vec::new());
+        trained.unwrap_err().to_string()
+    };
+    let mut other = config.clone();
+    other.data.folders[1].weight = 3.0;
+    assert!(refused(&other).contains("weights of data.folders = [1.0,2.0], now [1.0,3.0]"));
+    let third = of_style("glide", 20);
+    config.data.folders[1].path = third.write().to_owned();
+    assert!(refused(&config).contains("styles = [\"bounce\",\"sway\"]"));
 }
 
 #[test]

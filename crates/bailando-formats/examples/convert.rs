@@ -61,6 +61,7 @@ fn motion(kept: Kept) -> Result<GeneratedMotion, Box<dyn Error>> {
         animation,
         positions_source: PositionsSource::ForwardKinematics,
         codes: Codes::default(),
+        style: None,
         music: None,
         timings: Timings::default(),
         warnings: Vec::new(),

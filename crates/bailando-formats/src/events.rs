@@ -27,6 +27,8 @@ pub struct Start<'a> {
     pub frames: usize,
     /// Rest skeleton.
     pub skeleton: &'a Skeleton,
+    /// Style of the dance, or `mixed`; none from a model without styles.
+    pub style: Option<&'a str>,
     /// Tempo and beats, when asked for.
     pub music: Option<&'a MusicInfo>,
     /// Wall time of the stages so far.
@@ -54,6 +56,10 @@ pub struct StartJson<'a> {
     /// `frames / fps`.
     duration_s: f64,
     skeleton: SkeletonJson<'a>,
+    /// Style of the dance, or `mixed`; absent from a model without styles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    style: Option<&'a str>,
     /// Absent unless asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
@@ -118,6 +124,7 @@ pub fn start_event(start: &Start<'_>, options: &JsonOptions) -> Result<Vec<u8>, 
         frames: start.frames,
         duration_s: start.frames as f64 / f64::from(start.fps.max(1)),
         skeleton: start.skeleton.into(),
+        style: start.style,
         music: start.music,
         timings_ms: start.timings,
         warnings: start.warnings,

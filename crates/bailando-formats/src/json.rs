@@ -38,6 +38,10 @@ pub struct MotionJson<'a> {
     duration_s: f64,
     skeleton: SkeletonJson<'a>,
     codes: &'a Codes,
+    /// Style of the dance, or `mixed`; absent from a model without styles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(nullable = false))]
+    style: Option<&'a str>,
     /// Absent unless asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "openapi", schema(nullable = false))]
@@ -118,6 +122,7 @@ impl<'a> MotionJson<'a> {
             duration_s: frames as f64 / f64::from(animation.fps),
             skeleton: (&motion.skeleton).into(),
             codes: &motion.codes,
+            style: motion.style.as_deref(),
             music: motion.music.as_ref(),
             timings_ms: motion.timings,
             warnings: &motion.warnings,

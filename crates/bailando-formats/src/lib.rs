@@ -23,6 +23,7 @@
 //!     positions: ndarray::array![[[0.0, 1.0, 0.0]]],
 //!     positions_source: PositionsSource::Decoder,
 //!     codes: Codes::default(),
+//!     style: None,
 //!     music: None,
 //!     timings: Timings::default(),
 //!     warnings: Vec::new(),

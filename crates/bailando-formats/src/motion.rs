@@ -64,6 +64,8 @@ pub struct GeneratedMotion {
     pub positions_source: PositionsSource,
     /// The pose codes.
     pub codes: Codes,
+    /// Style of the dance, or `mixed`; none from a model without styles.
+    pub style: Option<String>,
     /// Tempo and beats, when asked for.
     pub music: Option<MusicInfo>,
     /// Wall time per stage.

@@ -8,9 +8,12 @@ use std::{
 
 use sha2::{Digest, Sha256};
 
-use super::{Decoder, Encoder, Gpt, Manifest, ModelError, installed::model_directory};
+use super::{
+    Decoder, Encoder, Gpt, Manifest, ModelError, STYLES_FILE, StyleClassifier,
+    installed::model_directory,
+};
 
-/// Largest `manifest.json` that is read.
+/// Largest `manifest.json` and `styles.json` that is read.
 const MANIFEST_LIMIT: u64 = 16 << 20;
 
 /// A verified model directory.
@@ -59,6 +62,23 @@ impl ModelDirectory {
     #[must_use]
     pub fn manifest_sha256(&self) -> &str {
         &self.manifest_sha256
+    }
+
+    /// Reads the classifier of songs by style; `None` where the manifest lists none.
+    ///
+    /// # Errors
+    /// [`ModelError::Read`]; [`ModelError::Manifest`] for one that does not fit the manifest.
+    pub fn style_classifier(&self) -> Result<Option<StyleClassifier>, ModelError> {
+        if !self.manifest.files.contains_key(STYLES_FILE) {
+            return Ok(None);
+        }
+        let path = self.root.join(STYLES_FILE);
+        let text = read_limited(&path, MANIFEST_LIMIT)?;
+        let refuse = |problem: String| ModelError::Manifest { path: path.clone(), problem };
+        let classifier: StyleClassifier =
+            serde_json::from_slice(&text).map_err(|error| refuse(error.to_string()))?;
+        classifier.validate(&self.manifest.styles).map_err(refuse)?;
+        Ok(Some(classifier))
     }
 
     /// Loads the motion GPT.

@@ -19,8 +19,8 @@ pub enum ModelError {
         /// The manifest that was looked for.
         path: PathBuf,
     },
-    /// `manifest.json` is not a manifest.
-    #[error("{}: not a manifest this version reads: {problem}", path.display())]
+    /// `manifest.json` is not a manifest, or `styles.json` no classifier of its styles.
+    #[error("{}: not what this version reads: {problem}", path.display())]
     Manifest {
         /// The file.
         path: PathBuf,

@@ -142,7 +142,7 @@ impl Gpt {
             head_size: spec.channels / spec.heads.max(1),
             block: spec.block,
             context: spec.context,
-            columns: manifest.features.columns,
+            columns: manifest.conditioning_columns(),
         })
     }
 

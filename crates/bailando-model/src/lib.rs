@@ -21,8 +21,10 @@ mod error;
 mod gpt;
 mod installed;
 mod manifest;
+mod manner;
 mod runtime;
 mod session;
+mod style_classifier;
 mod vocabulary;
 mod vqvae;
 
@@ -35,7 +37,9 @@ pub use manifest::{
     MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, SamplingDefaults, WeightStorage,
     WindowKind,
 };
+pub use manner::{MAX_STYLES, Manner, MannerSpec, NO_STYLE, check_styles};
 pub use runtime::LIBRARY_VARIABLE;
+pub use style_classifier::{STYLES_FILE, StyleClassifier, root_mean_square, song_statistics};
 pub use vocabulary::{SuppressedCodes, Vocabulary};
 pub use vqvae::{Decoder, Encoder, code_pairs};
 

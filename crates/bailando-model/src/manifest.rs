@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{SuppressedCodes, Vocabulary};
+use super::{MannerSpec, SuppressedCodes, Vocabulary, manner::check_styles};
 use bailando_features::{COLUMNS, HOP, Profile, Rate};
 use bailando_motion::{MotionFrame, Skeleton};
 
@@ -23,6 +23,12 @@ pub struct Manifest {
     pub licence: String,
     /// Which music features condition the model.
     pub features: FeatureSpec,
+    /// Styles that the model can be asked for; absent: none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub styles: Vec<String>,
+    /// Whether it can be asked for more or less energy; absent: no.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub energy: bool,
     /// Frames per second of the decoded motion.
     pub fps: u32,
     /// Motion frames that one pose code stands for (ARCHITECTURE: down-sampling 8).
@@ -209,6 +215,18 @@ impl Manifest {
         3 * self.skeleton.joints.len()
     }
 
+    /// What the model can be asked for beside the music.
+    #[must_use]
+    pub fn manners(&self) -> MannerSpec {
+        MannerSpec { styles: self.styles.len(), energy: self.energy }
+    }
+
+    /// Columns of `gpt.onnx`'s input `music`: those of the features, then those of the manner.
+    #[must_use]
+    pub fn conditioning_columns(&self) -> usize {
+        self.features.columns + self.manners().columns()
+    }
+
     /// Columns of motion as `decoder.onnx` gives it.
     #[must_use]
     pub fn decoded_columns(&self) -> usize {
@@ -233,6 +251,7 @@ impl Manifest {
             ));
         }
         self.validate_rates()?;
+        check_styles(&self.styles)?;
         self.validate_sizes()?;
         self.validate_sampling()?;
         self.skeleton.validate().map_err(|e| e.to_string())?;

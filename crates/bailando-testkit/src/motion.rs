@@ -82,6 +82,7 @@ pub fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> GeneratedMoti
             upper: (0..codes).map(|k| k % 5).collect(),
             lower: (0..codes).map(|k| k % 3).collect(),
         },
+        style: Some("pop".into()),
         music: Some(MusicInfo { tempo_bpm: 104.0, beats_s: vec![0.5, 1.0769] }),
         timings: Timings { inference: Duration::from_micros(12_345), ..Timings::default() },
         warnings: vec!["0.1 s of silence were trimmed".into()],

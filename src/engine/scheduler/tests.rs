@@ -87,6 +87,7 @@ impl Harness {
             script,
             observer,
             preparer: Preparer {
+                classifier: None,
                 directory,
                 frontend: AudioFrontend::new(
                     features,

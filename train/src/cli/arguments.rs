@@ -66,6 +66,12 @@ pub(super) enum Command {
     /// Both predict the codes of the same recordings. scripts/compare-models.sh also compares
     /// generated motion.
     Compare(ReportCommand<CompareOptions>),
+    /// Learn to tell the style of a song, and print what the test songs are taken for
+    ///
+    /// Learns from the training songs of the data folders and writes `styles.json` into the run's
+    /// folder; `export` adds it to the model directory, which then answers `style=auto`. `run` does
+    /// the same where it is missing.
+    Styles(StylesArguments),
     /// Check a folder of training data before hours are spent on it.
     ///
     /// Reads every motion and every song and reports in plain words: missing files, lengths, units
@@ -131,13 +137,23 @@ pub(super) struct SettingsArguments {
     /// Settings (TOML); settings that the file leaves out are as published
     config: PathBuf,
 
-    /// Folder of training data, of any layout [default: `data.folder` of the settings]
+    /// Folder of training data, of any layout; may be repeated [default: those of the settings]
     #[arg(long, value_name = "DIR")]
-    data: Option<PathBuf>,
+    data: Vec<PathBuf>,
 
     /// Folder of music features [default: `data.cache` of the settings]
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
+}
+
+#[derive(Args, Debug)]
+pub(super) struct StylesArguments {
+    #[command(flatten)]
+    pub(super) settings: SettingsArguments,
+
+    /// Print JSON
+    #[arg(long)]
+    pub(super) json: bool,
 }
 
 #[derive(Args, Debug)]
@@ -323,9 +339,7 @@ impl SettingsArguments {
     /// Reads the settings, with the folders of the command line.
     pub(super) fn read(&self) -> anyhow::Result<Config> {
         let mut config = Config::read(&self.config)?;
-        if let Some(data) = &self.data {
-            config.data.folder.clone_from(data);
-        }
+        config.data.replace_folders(&self.data);
         if let Some(cache) = &self.cache {
             config.data.cache.clone_from(cache);
         }
@@ -354,6 +368,9 @@ impl From<ImportArguments> for ImportOptions {
                 licence: arguments.licence,
                 profile: arguments.profile,
                 count_periods: Vec::new(),
+                styles: Vec::new(),
+                energy: false,
+                classifier: None,
                 start_codes: Vec::new(),
                 suppressed_codes: SuppressedCodes::default(),
                 temperature: arguments.temperature,

@@ -13,7 +13,8 @@ use serde::Serialize;
 
 pub use self::arguments::Arguments;
 use self::arguments::{
-    AdaptArguments, Command, GenerateArguments, ReportCommand, StageArguments, WholeArguments,
+    AdaptArguments, Command, GenerateArguments, ReportCommand, StageArguments, StylesArguments,
+    WholeArguments,
 };
 use crate::{
     compare::compare,
@@ -23,7 +24,7 @@ use crate::{
     music_gap::music_gap,
     training::{
         AblationConfig, Adaptation, Limits, MotionSet, Outcome, Stage, StopFlag, adapt, export,
-        export_adapted, generate_test_motions, run_all, target_song, train,
+        export_adapted, generate_test_motions, learn_styles, run_all, target_song, train,
     },
 };
 
@@ -78,6 +79,10 @@ pub fn run(
             let (data, mut options) = command.split();
             options.recordings.data = data;
             print(&compare(&options)?, json, output)
+        }
+        Command::Styles(StylesArguments { settings, json }) => {
+            let report = learn_styles(&settings.read()?, &mut std::io::sink())?;
+            print(&report, json, output)
         }
         Command::CheckData(arguments) => check_data(arguments, output),
     }

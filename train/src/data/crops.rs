@@ -78,7 +78,7 @@ impl CropPlan {
         motions.iter().map(|dance| self.starts(dance).count()).sum()
     }
 
-    fn starts(&self, dance: &Choice) -> impl Iterator<Item = usize> {
+    fn starts(&self, dance: &Choice) -> impl Iterator<Item = usize> + use<> {
         let skipped = dance.skipped;
         crop_starts(dance.frames, self.frames, self.stride).filter(move |&start| start >= skipped)
     }
@@ -88,27 +88,77 @@ impl CropPlan {
     /// phase pushes over the motion's end moves back by a code.
     #[must_use]
     pub fn round(&self, motions: &[Choice], seed: u64, round: u64) -> Vec<Draw> {
-        let mut generator = ChaCha8Rng::seed_from_u64(seed);
-        generator.set_stream(round);
-        let mut draws = Vec::with_capacity(self.crops(motions));
-        for (dance, choice) in motions.iter().enumerate() {
-            for start in self.starts(choice) {
-                let room = choice.frames - self.frames;
-                let phases = choice.phases.min(room + 1).clamp(1, PHASES);
-                let phase = generator.random_range(0..phases);
-                let over = start + phase > room;
-                draws.push(Draw {
-                    dance,
-                    song: generator.random_range(0..choice.songs.max(1)),
-                    phase,
-                    start: start.saturating_sub(if over { FRAMES_PER_CODE } else { 0 }),
-                    mirrored: self.mirror && generator.random::<bool>(),
-                });
-            }
-        }
-        draws.shuffle(&mut generator);
+        let random = &mut generator(seed, round);
+        let crops = self.places(motions);
+        let draws = crops.map(|(dance, start)| self.draw(motions, (dance, start), random));
+        let mut draws: Vec<Draw> = draws.collect();
+        draws.shuffle(random);
         draws
     }
+
+    /// Draws a round of as many crops, each as often as its share of the weights says: by
+    /// systematic sampling, so that no crop is further than one from its share. `weights` has one
+    /// for each of [`CropPlan::places`], and not only zeros.
+    #[must_use]
+    pub fn weighted_round(
+        &self,
+        motions: &[Choice],
+        weights: &[f64],
+        seed: u64,
+        round: u64,
+    ) -> Vec<Draw> {
+        let random = &mut generator(seed, round);
+        let each = weights.len() as f64 / weights.iter().sum::<f64>();
+        let (mut passed, mut drawn) = (random.random::<f64>(), 0.0);
+        let mut draws = Vec::with_capacity(weights.len());
+        for (place, weight) in self.places(motions).zip(weights) {
+            passed += weight * each;
+            while drawn + 1.0 <= passed {
+                drawn += 1.0;
+                draws.push(self.draw(motions, place, random));
+            }
+        }
+        // The sum may be a rounding error short of a whole number.
+        if let Some(last) = self.places(motions).last().filter(|_| draws.len() < weights.len()) {
+            draws.push(self.draw(motions, last, random));
+        }
+        draws.truncate(weights.len());
+        draws.shuffle(random);
+        draws
+    }
+
+    /// Returns every crop of a round, a motion and a first frame each.
+    pub fn places(&self, motions: &[Choice]) -> impl Iterator<Item = (usize, usize)> {
+        let motions = motions.iter().enumerate();
+        motions.flat_map(|(dance, choice)| self.starts(choice).map(move |start| (dance, start)))
+    }
+
+    /// Draws song, start phase and side of a crop.
+    fn draw(
+        &self,
+        motions: &[Choice],
+        (dance, start): (usize, usize),
+        random: &mut ChaCha8Rng,
+    ) -> Draw {
+        let choice = motions[dance];
+        let room = choice.frames - self.frames;
+        let phases = choice.phases.min(room + 1).clamp(1, PHASES);
+        let phase = random.random_range(0..phases);
+        let over = start + phase > room;
+        Draw {
+            dance,
+            song: random.random_range(0..choice.songs.max(1)),
+            phase,
+            start: start.saturating_sub(if over { FRAMES_PER_CODE } else { 0 }),
+            mirrored: self.mirror && random.random::<bool>(),
+        }
+    }
+}
+
+fn generator(seed: u64, round: u64) -> ChaCha8Rng {
+    let mut generator = ChaCha8Rng::seed_from_u64(seed);
+    generator.set_stream(round);
+    generator
 }
 
 impl Draw {
@@ -172,6 +222,32 @@ mod tests {
         assert_ne!(draws, plan.round(&motions, 8, 0));
         let plain = CropPlan { mirror: false, ..plan };
         assert!(plain.round(&motions, 7, 0).iter().all(|draw| !draw.mirrored));
+    }
+
+    #[test]
+    fn a_weighted_round_draws_crops_by_their_weights() {
+        let plan = CropPlan { frames: 240, stride: 8, mirror: true };
+        let motion = |frames| Choice { frames, skipped: 0, songs: 1, phases: 1 };
+        let motions = [motion(320), motion(240)];
+        let places: Vec<_> = plan.places(&motions).collect();
+        assert_eq!(places.len(), 12);
+        let mut weights = vec![1.0; 12];
+        weights[11] = 11.0;
+        let mut counts = [0; 12];
+        for round in 0..40 {
+            let draws = plan.weighted_round(&motions, &weights, 7, round);
+            assert_eq!(draws.len(), 12);
+            for draw in draws {
+                let place = places.iter().position(|&place| place == (draw.dance, draw.start));
+                counts[place.unwrap()] += 1;
+            }
+        }
+        // Half of all draws are of the one window of the short motion.
+        assert!((235..=245).contains(&counts[11]), "{counts:?}");
+        assert!(counts[..11].iter().all(|count| (12..=32).contains(count)), "{counts:?}");
+        weights[3] = 0.0;
+        let draws = (0..40).flat_map(|round| plan.weighted_round(&motions, &weights, 8, round));
+        assert!(draws.into_iter().all(|draw| (draw.dance, draw.start) != places[3]));
     }
 
     #[test]

@@ -8,6 +8,8 @@ use std::{
 use bailando::motion::Skeleton;
 use clap::{Args, ValueEnum};
 
+use super::Marks;
+
 /// Use of a piece.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, ValueEnum)]
 pub enum Split {
@@ -118,6 +120,12 @@ pub struct Piece {
     pub bpm: Option<f64>,
     /// Recording that the motion was made from: variants of one recording share it.
     pub source: Option<String>,
+    /// What the data say about the motion.
+    pub marks: Marks,
+    /// Place of its folder among those that are read together.
+    pub folder: usize,
+    /// Weight of that folder.
+    pub weight: f64,
 }
 
 /// An entry that cannot be used.

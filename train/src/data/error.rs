@@ -46,6 +46,15 @@ pub enum DataError {
     Leak { train: String, test: String },
     #[error("{}: no piece has the split `{split}`", path.display())]
     Empty { path: PathBuf, split: Split },
+    #[error(
+        "{} and {} do not have the same skeleton ({what}): data folders that are read together \
+         need one",
+        first.display(),
+        other.display()
+    )]
+    Skeleton { first: PathBuf, other: PathBuf, what: String },
+    #[error("no data folder is named: give --data or data.folder")]
+    NoFolder,
     #[error("feature cache {}: {source}; choose another folder with --cache", path.display())]
     Cache { path: PathBuf, source: std::io::Error },
     #[error(

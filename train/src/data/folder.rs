@@ -8,7 +8,8 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::{
-    DataError, Dataset, Defect, JOINTS, Layout, MotionSource, MusicSource, Piece, Split, files,
+    DataError, Dataset, Defect, JOINTS, Layout, Marks, MotionSource, MusicSource, Phrase, Piece,
+    Split, files,
 };
 use crate::export::skeleton;
 
@@ -41,6 +42,23 @@ struct Entry {
     grid_beats_s: Vec<f64>,
     bpm: Option<f64>,
     source: Option<String>,
+    style: Option<String>,
+    first_count: Option<usize>,
+    #[serde(default)]
+    phrases: Vec<PhraseEntry>,
+    /// First frame and the one after the last.
+    #[serde(default)]
+    damaged: Vec<[usize; 2]>,
+}
+
+/// A phrase of four bars or so: which bars of which clip.
+#[derive(Debug, Deserialize)]
+struct PhraseEntry {
+    start_frame: usize,
+    #[serde(default)]
+    clip: String,
+    #[serde(default)]
+    start_bar: usize,
 }
 
 pub(super) fn read(root: &Path) -> Result<Dataset, DataError> {
@@ -91,7 +109,7 @@ impl Dataset {
 
 fn piece(
     root: &Path,
-    entry: Entry,
+    mut entry: Entry,
     fps: Option<f64>,
     default: Option<Split>,
 ) -> Result<Piece, String> {
@@ -102,14 +120,20 @@ fn piece(
         (Some(other), _) => return Err(format!("split is `{other}`, expected train or test")),
         (None, None) => return Err("it has no split: train or test".into()),
     };
-    let motion = match (entry.motion, default) {
+    let motion = match (entry.motion.take(), default) {
         (Some(motion), _) => motion,
         // Lists of recordings name files by id.
         (None, Some(_)) => format!("{}.npy", entry.id),
         (None, None) => return Err("it names no motion file".into()),
     };
+    let id = entry.id.clone();
+    let marks = marks(&mut entry)?;
     Ok(Piece {
+        id,
         split,
+        marks,
+        folder: 0,
+        weight: 1.0,
         motion: MotionSource::Npy(root.join(motion)),
         music: entry.audio.map(|audio| MusicSource::Audio(root.join(audio))),
         frames: entry.frames,
@@ -118,7 +142,27 @@ fn piece(
         grid_beats_s: entry.grid_beats_s,
         bpm: entry.bpm,
         source: entry.source,
-        id: entry.id,
+    })
+}
+
+/// Reads phrases and damage, which must be in order.
+fn marks(entry: &mut Entry) -> Result<Marks, String> {
+    let phrases = entry.phrases.drain(..).map(|phrase| Phrase {
+        start_frame: phrase.start_frame,
+        name: format!("{}/{}", phrase.clip, phrase.start_bar),
+    });
+    let phrases: Vec<Phrase> = phrases.collect();
+    if !phrases.is_sorted_by_key(|phrase| phrase.start_frame) {
+        return Err("its phrases are not in the order of their first frames".into());
+    }
+    if let Some([from, to]) = entry.damaged.iter().find(|[from, to]| from > to) {
+        return Err(format!("damaged frames {from} to {to}: the end comes first"));
+    }
+    Ok(Marks {
+        style: entry.style.take(),
+        phrases,
+        damaged: entry.damaged.iter().map(|&[from, to]| from..to).collect(),
+        first_count: entry.first_count.unwrap_or(1),
     })
 }
 

@@ -12,8 +12,8 @@ use ndarray::Array2;
 use serde::{Deserialize, de::IgnoredAny};
 
 use super::{
-    DataError, Dataset, FRAMES_PER_CODE, JOINTS, Layout, MotionSource, MusicSource, Piece, Split,
-    files, folder::ROOT_HEIGHT, songs::Songs,
+    DataError, Dataset, FRAMES_PER_CODE, JOINTS, Layout, Marks, MotionSource, MusicSource, Piece,
+    Split, files, folder::ROOT_HEIGHT, songs::Songs,
 };
 use crate::export::skeleton;
 
@@ -120,6 +120,9 @@ pub(super) fn bare_piece(
         grid_beats_s: Vec::new(),
         bpm: None,
         source: None,
+        marks: Marks::default(),
+        folder: 0,
+        weight: 1.0,
     }
 }
 

@@ -17,11 +17,13 @@ mod folder;
 mod json;
 mod library;
 mod load;
+mod marks;
 mod motion;
 mod npy;
 mod open;
 mod portion;
 mod quantise;
+mod several;
 mod smpl;
 mod songs;
 #[cfg(test)]
@@ -37,9 +39,11 @@ pub use crops::{Choice, CropPlan, Draw, common_frames, crop_starts, rows_beside}
 pub use dataset::{Dataset, Defect, Layout, MotionSource, MusicSource, OpenOptions, Piece, Split};
 pub use error::DataError;
 pub use library::MusicLibrary;
+pub use marks::{Marks, Phrase};
 pub use motion::Motion;
 pub use portion::{Evaluation, Portion, Recording, Song, SplitKind, Training};
 pub use quantise::quantised;
+pub use several::DataFolder;
 
 /// Frames per second of all motion.
 pub const FPS: usize = 60;

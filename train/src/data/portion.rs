@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, marker::PhantomData};
 
 use bailando::motion::Skeleton;
 
-use super::{DataError, Dataset, Motion, MotionSource, MusicSource, Split};
+use super::{DataError, Dataset, Marks, Motion, MotionSource, MusicSource, Split};
 
 mod sealed {
     pub trait Sealed {}
@@ -48,6 +48,8 @@ pub struct Portion<S> {
 pub struct Recording<S> {
     source: MotionSource,
     songs: Vec<Song>,
+    marks: Marks,
+    weight: f64,
     split: PhantomData<S>,
 }
 
@@ -66,13 +68,16 @@ pub struct Song {
 
 impl<S: SplitKind> Portion<S> {
     pub(super) fn of(dataset: &Dataset) -> Result<Self, DataError> {
-        let mut recordings: BTreeMap<&MotionSource, Recording<S>> = BTreeMap::new();
+        let mut recordings: BTreeMap<(usize, &MotionSource), Recording<S>> = BTreeMap::new();
         for piece in dataset.pieces.iter().filter(|piece| piece.split == S::SPLIT) {
-            let dance = recordings.entry(&piece.motion).or_insert_with(|| Recording {
-                source: piece.motion.clone(),
-                songs: Vec::new(),
-                split: PhantomData,
-            });
+            let dance =
+                recordings.entry((piece.folder, &piece.motion)).or_insert_with(|| Recording {
+                    source: piece.motion.clone(),
+                    songs: Vec::new(),
+                    marks: piece.marks.clone(),
+                    weight: piece.weight,
+                    split: PhantomData,
+                });
             dance.songs.push(Song {
                 id: piece.id.clone(),
                 music: piece.music.clone(),
@@ -113,6 +118,18 @@ impl<S> Recording<S> {
     #[must_use]
     pub fn songs(&self) -> &[Song] {
         &self.songs
+    }
+
+    /// Returns what the data say about it.
+    #[must_use]
+    pub fn marks(&self) -> &Marks {
+        &self.marks
+    }
+
+    /// Returns the weight of its data folder.
+    #[must_use]
+    pub fn weight(&self) -> f64 {
+        self.weight
     }
 
     /// Returns the beats that all of its songs share, in seconds from frame 0; none where the data

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use bailando::{
     features::{HOP, Profile, Rate},
     model::{
-        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
-        SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
+        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, MannerSpec, SamplingDefaults,
+        StyleClassifier, SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
     },
     motion::MotionFrame,
 };
@@ -34,6 +34,12 @@ pub struct Description {
     pub profile: Profile,
     /// Periods in counts that the model is conditioned on, after the features.
     pub count_periods: Vec<u32>,
+    /// Names of the styles that it is told after the music.
+    pub styles: Vec<String>,
+    /// Whether it is told energies after these.
+    pub energy: bool,
+    /// Finds the style of a song; none where that is left to the caller.
+    pub classifier: Option<StyleClassifier>,
     /// Pairs (upper, lower) to draw a start from; empty: any pair.
     pub start_codes: Vec<[u32; 2]>,
     /// Codes that are never drawn.
@@ -66,6 +72,8 @@ pub(super) fn manifest(
 ) -> Result<Manifest, ExportError> {
     let context = gpt.block().saturating_sub(1);
     let (upper_joints, lower_joints) = HALF_JOINTS;
+    let Description { styles, energy, .. } = description;
+    let manners = MannerSpec { styles: styles.len(), energy: *energy };
     Ok(Manifest {
         format_version: FORMAT_VERSION,
         name: description.name.clone(),
@@ -74,9 +82,12 @@ pub(super) fn manifest(
             profile: description.profile,
             sample_rate: Rate::Conditioning.hz(),
             hop: HOP,
-            columns: gpt.columns(),
+            // Fewer columns than manners are refused with what the manifest says of features.
+            columns: gpt.columns().saturating_sub(manners.columns()),
             count_periods: description.count_periods.clone(),
         },
+        styles: styles.clone(),
+        energy: *energy,
         fps: FPS,
         frames_per_code: vqvae.frames_per_code(),
         motion_frame: checked_frame(vqvae, description.motion_frame)?,

@@ -12,7 +12,7 @@ pub(crate) use staging::check_target;
 
 use std::path::Path;
 
-use bailando::model::{Manifest, ModelDirectory};
+use bailando::model::{Manifest, ModelDirectory, STYLES_FILE};
 
 use crate::{
     onnx::{InputRanges, decoder_graph, encoder_graph, gpt_graph},
@@ -49,6 +49,11 @@ pub fn write_model_directory(
         let entry = staging.write(name, &bytes)?;
         manifest.files.insert(name.to_owned(), entry);
     }
+    if let Some(classifier) = &description.classifier {
+        let text = serde_json::to_vec(classifier).map_err(ExportError::Manifest)?;
+        let entry = staging.write(STYLES_FILE, &text)?;
+        manifest.files.insert(STYLES_FILE.to_owned(), entry);
+    }
     let mut text = serde_json::to_string_pretty(&manifest).map_err(ExportError::Manifest)?;
     text.push('\n');
     staging.write("manifest.json", text.as_bytes())?;
@@ -63,5 +68,6 @@ fn load(folder: &Path) -> Result<(), ExportError> {
     directory.gpt(1)?;
     directory.decoder(1)?;
     directory.encoder(1)?;
+    directory.style_classifier()?;
     Ok(())
 }

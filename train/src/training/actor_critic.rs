@@ -332,9 +332,10 @@ fn rollout_plan(
 }
 
 fn scaled(songs: &[Song], policy: &Policy) -> Vec<Song> {
-    let songs = songs
-        .iter()
-        .map(|song| Song { rows: policy.scaled(&song.rows), beats: song.beats.clone() });
+    let songs = songs.iter().map(|song| Song {
+        rows: policy.conditioned(&song.rows, song.style.as_deref()),
+        ..song.clone()
+    });
     songs.collect()
 }
 

@@ -1,6 +1,6 @@
 //! Input ranges of the exported network's 8-bit matrices (static quantisation).
 
-use bailando::model::WeightStorage;
+use bailando::model::{Manner, WeightStorage};
 use burn_flex::{Flex, FlexDevice};
 use ndarray::Array2;
 use rand::RngExt;
@@ -46,11 +46,16 @@ pub(super) fn input_ranges(config: &Config, policy: &Policy) -> InputRanges {
 /// Returns scaled music without a pattern, `[rows, columns]`; columns in use have unit variance.
 fn noise(policy: &Policy, rows: usize, piece: u64) -> Array2<f32> {
     let mut random = generator(SEED, piece);
-    let raw = Array2::from_shape_fn((rows, policy.scale.mean.len()), |(_, column)| {
+    let spec = policy.manners.spec();
+    let columns = policy.scale.mean.len() - spec.columns();
+    let raw = Array2::from_shape_fn((rows, columns), |(_, column)| {
         let wide = 12.0_f64.sqrt() * (random.random::<f64>() - 0.5);
         policy.scale.mean[column] + policy.scale.spread[column] * wide as f32
     });
-    policy.scaled(&raw)
+    // Every style, and none of them, one piece after the other.
+    let style = piece as usize % (spec.styles + 1);
+    let energy = Some(random.random::<f32>()).filter(|energy| *energy < 0.8);
+    policy.scaled(&spec.beside(raw.view(), Manner { style: Some(style), energy }))
 }
 
 /// Returns the name in the exported graph, where queries, keys and values are one matrix.
@@ -64,7 +69,7 @@ mod tests {
     use crate::{
         nn::{GptNet, GptSizes, Store, random_gpt},
         onnx::gpt_graph,
-        training::{music_scale::MusicScale, tests::config},
+        training::{manners::Manners, music_scale::MusicScale, tests::config},
     };
 
     fn policy(spread: f32) -> Policy {
@@ -75,6 +80,7 @@ mod tests {
             net: GptNet::new(&random_gpt(sizes, 7), &mut store),
             store,
             scale: MusicScale { mean: vec![0.0; 3], spread: vec![spread; 3] },
+            manners: Manners::default(),
             starts: vec![[1, 4], [3, 0]],
             critic: None,
         }

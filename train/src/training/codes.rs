@@ -4,7 +4,7 @@ use std::io::Write;
 
 use rayon::prelude::*;
 
-use super::{crops::motion_columns, frozen::FrozenVqVae, input::MotionPiece};
+use super::{crops::motion_columns, frozen::FrozenVqVae, piece::MotionPiece};
 use crate::{
     data::{Draw, FRAMES_PER_CODE},
     nn::{Kernels, values},

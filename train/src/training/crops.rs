@@ -3,9 +3,10 @@
 use burn_tensor::{Tensor, backend::Backend};
 
 use super::{
-    config::Config,
+    config::{BalanceConfig, Config},
     error::TrainError,
-    input::{MotionPiece, MotionSet},
+    input::MotionSet,
+    piece::MotionPiece,
     windows::Windows,
 };
 use crate::{
@@ -21,12 +22,14 @@ pub(super) fn motion_windows(
     config: &Config,
     set: &MotionSet,
     (frames, stride): (usize, usize),
+    balance: &BalanceConfig,
     seed: u64,
 ) -> Result<Windows, TrainError> {
     let crops = CropPlan { frames, stride, mirror: config.data.mirror };
     let choices = set.training.motion_choices(config.data.phases);
-    Windows::new(crops, choices, seed)
-        .ok_or(TrainError::TooShort { length: frames, unit: "frames" })
+    let windows = Windows::new(crops, choices, seed);
+    let windows = windows.ok_or(TrainError::TooShort { length: frames, unit: "frames" })?;
+    Ok(windows.balanced(balance, set.training.pieces()))
 }
 
 /// Gathers some columns of crops, `[batch, frames, columns]`; `None` is zero.

@@ -4,12 +4,12 @@ use std::path::Path;
 
 use bailando::model::{Manifest, ModelDirectory, SamplingDefaults, SuppressedCodes};
 use burn_flex::{Flex, FlexDevice};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::{
     calibrate::input_ranges, config::Config, error::TrainError, frozen::FrozenVqVae,
-    kept::fingerprint, policy::Policy, stage::Stage, suppress::suppressed_codes,
-    velocity::Decoders,
+    kept::fingerprint, policy::Policy, song_styles::read_classifier, stage::Stage,
+    suppress::suppressed_codes, velocity::Decoders,
 };
 use crate::{
     export::{Description, ExportError, write_model_directory},
@@ -39,7 +39,7 @@ pub(super) fn write<const N: usize>(
     config.ablation.refuse("export")?;
     let training = [
         ("seed", config.run.seed.into()),
-        ("data", config.data.folder.display().to_string().into()),
+        ("data", data_folders(config)),
         (CHECKPOINTS, checkpoints(config)?),
         (SETTINGS, settings(config)?),
     ];
@@ -50,6 +50,9 @@ pub(super) fn write<const N: usize>(
         licence: config.export.licence.clone(),
         profile: config.data.profile,
         count_periods: config.data.count_periods.clone(),
+        styles: policy.manners.styles.clone(),
+        energy: policy.manners.energy,
+        classifier: read_classifier(config, &policy.manners.styles)?,
         start_codes: allowed_starts(&policy.starts, &suppressed_codes),
         suppressed_codes,
         temperature: config.export.temperature,
@@ -70,6 +73,21 @@ pub(super) fn write<const N: usize>(
         &vqvae_weights(config)?,
         &description,
     )?)
+}
+
+/// Returns the data folder, or all of them with their weights.
+fn data_folders(config: &Config) -> Value {
+    let folders = config.data.all_folders();
+    let text = |path: &Path| Value::from(path.display().to_string());
+    match &folders[..] {
+        [folder] if folder.weight == 1.0 => text(&folder.path),
+        folders => {
+            let folders = folders.iter();
+            folders
+                .map(|folder| json!({"path": text(&folder.path), "weight": folder.weight}))
+                .collect()
+        }
+    }
 }
 
 /// Returns the starts without suppressed codes.
@@ -125,9 +143,11 @@ pub(super) fn is_exported(config: &Config) -> Result<bool, TrainError> {
         && manifest.sampling == sampling
         && manifest.skeleton.root_height == asked.root_height
         && manifest.suppressed_codes == suppressed_codes(config)?;
+    let classifier = read_classifier(config, &manifest.styles)?;
+    let same_styles = directory.style_classifier().is_ok_and(|known| known == classifier);
     let of = |entry: &str| manifest.training.get(entry);
     let made_of = of(CHECKPOINTS) == Some(&checkpoints(config)?);
-    Ok(described && made_of && of(SETTINGS) == Some(&settings(config)?))
+    Ok(described && same_styles && made_of && of(SETTINGS) == Some(&settings(config)?))
 }
 
 /// Returns the weights of a finished run, and the pairs of codes that its training pieces begin

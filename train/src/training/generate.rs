@@ -18,7 +18,7 @@ use super::{
     windows::generator,
 };
 use crate::{
-    data::{Dataset, Evaluation, MusicSource, OpenOptions, Portion},
+    data::{Dataset, Evaluation, MusicSource, Portion},
     nn::{Kernels, Parameters, Trainable},
 };
 
@@ -32,13 +32,14 @@ pub(super) struct TestPiece {
     id: String,
     /// `[rows, columns]`, not scaled.
     rows: Array2<f32>,
+    style: Option<String>,
 }
 
 #[cfg(test)]
 impl TestPiece {
     pub(super) fn new(id: &str, rows: Array2<f32>) -> Self {
         let id = id.to_owned();
-        Self { id, rows }
+        Self { id, rows, style: None }
     }
 }
 
@@ -70,17 +71,21 @@ pub fn generate_test_motions(
 
 fn test_pieces(config: &Config, output: &mut impl Write) -> Result<Vec<TestPiece>, TrainError> {
     let data = &config.data;
-    let options = OpenOptions { audio: data.audio_folder().map(Into::into) };
-    let test: Portion<Evaluation> = Dataset::open(&data.folder, &options)?.evaluation()?;
-    let songs = test.recordings().iter().flat_map(|dance| dance.songs());
-    let songs: Vec<(&String, &MusicSource)> =
-        songs.filter_map(|song| Some((&song.id, song.music.as_ref()?))).collect();
-    let wanted = songs.iter().map(|&(_, music)| (music.clone(), 1));
+    let folders = data.all_folders();
+    let test: Portion<Evaluation> =
+        Dataset::open_all(&folders, &data.open_options())?.evaluation()?;
+    let songs = test.recordings().iter().flat_map(|dance| {
+        let songs = dance.songs().iter();
+        songs.map(|song| (song, &dance.marks().style))
+    });
+    let songs = songs.filter_map(|(song, style)| Some((&song.id, song.music.as_ref()?, style)));
+    let songs: Vec<(&String, &MusicSource, &Option<String>)> = songs.collect();
+    let wanted = songs.iter().map(|&(_, music, _)| (music.clone(), 1));
     let known = song_rows(data, wanted.collect(), output)?;
     let mut pieces = Vec::with_capacity(songs.len());
-    for (id, music) in songs {
+    for (id, music, style) in songs {
         let failed = |message: &str| TrainError::Data {
-            path: data.folder.clone(),
+            path: folders[0].path.clone(),
             message: format!("piece `{id}` {message}"),
         };
         if Path::new(id).file_name() != Some(id.as_ref()) {
@@ -91,6 +96,7 @@ fn test_pieces(config: &Config, output: &mut impl Write) -> Result<Vec<TestPiece
         pieces.push(TestPiece {
             id: id.clone(),
             rows: rows.ok_or_else(|| failed("has too little music"))?.clone(),
+            style: style.clone(),
         });
     }
     Ok(pieces)
@@ -142,7 +148,7 @@ fn sampler<'a, B: Kernels>(
 
 fn scaled(policy: &Policy, pieces: &[TestPiece]) -> Vec<Array2<f32>> {
     let pieces = pieces.iter();
-    pieces.map(|piece| policy.scaled(&piece.rows)).collect()
+    pieces.map(|piece| policy.conditioned(&piece.rows, piece.style.as_deref())).collect()
 }
 
 fn requests<'a>(

@@ -7,14 +7,18 @@ use burn_tensor::{Int, Tensor, activation::log_softmax, backend::Backend};
 use super::{
     checkpoint::Checkpoint,
     codes::{Augmentation, Codes},
+    condition::{Condition, Conditions},
     config::Config,
     crops::test_means,
+    energy::EnergyScale,
     error::TrainError,
     frozen::FrozenVqVae,
     identity::Identity,
-    input::{MotionPiece, MotionSet},
+    input::MotionSet,
     kept::WEIGHT,
+    manners::Manners,
     music_scale::MusicScale,
+    piece::MotionPiece,
     stage::Stage,
     time_shift::{InputCorruption, TimeShiftAugmentation},
     trainable::{Losses, StageSpec, TrainableStage},
@@ -22,14 +26,15 @@ use super::{
 };
 use crate::{
     checkpoint::TorchCheckpoint,
-    data::{Choice, CropPlan, Draw, FRAMES_PER_CODE, PHASES, rows_beside},
+    data::{Choice, CropPlan, Draw, FRAMES_PER_CODE, PHASES},
     nn::{self, GptNet, GptSizes, Kernels, Parameters, Store, Trainable, gathered, random_gpt},
     weights::GptWeights,
 };
 
-/// Seeds of the generators of replaced codes and of time shifts, beside the run's seed.
+/// Seeds of the generators of replaced codes, time shifts and conditions, beside the run's seed.
 const NOISE_SEED: u64 = 0x6E6F_6973;
 const SHIFT_SEED: u64 = 0x736C_6970;
+const CONDITION_SEED: u64 = 0x636F_6E64;
 
 /// Stage `gpt`.
 pub(super) struct GptStage<'a, A: Trainable> {
@@ -40,6 +45,8 @@ pub(super) struct GptStage<'a, A: Trainable> {
     codes: Codes,
     test_codes: Option<Codes>,
     scale: MusicScale,
+    manners: Manners,
+    energy: Option<EnergyScale>,
     device: A::Device,
 }
 
@@ -66,20 +73,27 @@ pub(super) struct Start {
     pub(super) net: GptNet,
     pub(super) store: Store,
     pub(super) scale: MusicScale,
+    pub(super) manners: Manners,
 }
 
 impl Start {
-    /// Reads the weights of `init`, a run's checkpoint or an official one, else draws random ones.
+    /// Reads the weights of `init`, a run's checkpoint or an official one, else draws random ones;
+    /// for music of so many columns.
     pub(super) fn read(
         config: &Config,
         set: &MotionSet,
-        columns: usize,
+        music_columns: usize,
         init: Option<&Path>,
     ) -> Result<Self, TrainError> {
         let mut store = Store::default();
+        let manners = Manners {
+            styles: if config.gpt.styles { set.styles.clone() } else { Vec::new() },
+            energy: config.gpt.energy,
+        };
+        let columns = music_columns + manners.spec().columns();
         let net = config.ablation.network(&random(config, columns), &mut store);
         let scale = MusicScale::measure(&set.training, columns, &config.gpt);
-        let start = Self { net, store, scale };
+        let start = Self { net, store, scale, manners };
         let Some(path) = init else {
             return Ok(start);
         };
@@ -96,10 +110,17 @@ impl Start {
     }
 
     fn with_checkpoint(self, config: &Config, checkpoint: &Checkpoint) -> Result<Self, String> {
+        if Manners::restore(checkpoint)? != self.manners {
+            return Err(
+                "was trained with other styles: give it the same data folders, gpt.styles \
+                        and gpt.energy"
+                    .into(),
+            );
+        }
         Ok(Self {
             store: checkpoint.fill(WEIGHT, &self.store)?,
             scale: MusicScale::restore_for(&config.gpt, checkpoint)?,
-            net: self.net,
+            ..self
         })
     }
 
@@ -127,7 +148,8 @@ fn windows(config: &Config, set: &MotionSet) -> Option<Windows> {
         mirror: config.data.mirror,
     };
     let choices = music_choices(config, set);
-    Windows::new(crops, choices, config.run.seed ^ 2)
+    let windows = Windows::new(crops, choices, config.run.seed ^ 2)?;
+    Some(windows.balanced(&config.gpt.balance, set.training.pieces()))
 }
 
 /// Returns the choices of each motion.
@@ -177,11 +199,20 @@ impl<'a, A: Trainable> GptStage<'a, A> {
         let codes = encode(set.training.pieces(), config.data.mirror, phases);
         let test_codes = set.test.as_ref();
         let test_codes = test_codes.map(|test| encode(test.pieces(), false, 1));
+        let mut identity = Identity::of_stage(config, Stage::Gpt, set)?;
+        if config.gpt.styles {
+            identity = identity.with_styles(&start.manners.styles);
+        }
+        let frames = config.gpt.block * FRAMES_PER_CODE;
+        let energy = config.gpt.energy.then(|| {
+            let places = windows.places();
+            EnergyScale::measure(set.training.pieces(), places, frames)
+        });
         let spec = StageSpec {
             name: "gpt",
             run: &config.run,
             training: &config.gpt.training,
-            identity: Identity::of_stage(config, Stage::Gpt, set)?,
+            identity,
             store: start.store,
             windows: windows.len(),
         };
@@ -193,6 +224,8 @@ impl<'a, A: Trainable> GptStage<'a, A> {
             codes,
             test_codes,
             scale: start.scale,
+            manners: start.manners,
+            energy,
             device: device.clone(),
         };
         Ok((spec, stage))
@@ -224,19 +257,33 @@ impl<'a, A: Trainable> GptStage<'a, A> {
         gathered(windows, [block, channels], row, &self.device)
     }
 
-    /// Gathers the scaled music beside the codes, `[batch, block, columns]`.
+    /// Gathers the scaled music beside the codes and the manner, `[batch, block, columns]`.
     pub(super) fn music<B: Backend<Device = A::Device>>(
         &self,
         pieces: &[MotionPiece],
-        windows: &[Draw],
+        conditions: &[Condition],
     ) -> Tensor<B, 3> {
         let (block, columns) = (self.config.gpt.block, self.scale.mean.len());
-        let row = |window: &Draw, step: usize| {
-            let rows = pieces[window.dance].songs()[window.song].phase(window.phase);
-            let beside = rows_beside(window.codes(block * FRAMES_PER_CODE));
-            self.scale.scaled(rows.row(beside.start + step)).collect::<Vec<_>>()
+        let row = |condition: &Condition, step: usize| {
+            let rows = pieces[condition.dance].songs()[condition.song].phase(condition.phase);
+            let manner = self.manners.spec().values(condition.manner);
+            let music = self.scale.scaled(rows.row(condition.row + step));
+            music.chain(manner).collect::<Vec<_>>()
         };
-        gathered(windows, [block, columns], row, &self.device)
+        gathered(conditions, [block, columns], row, &self.device)
+    }
+
+    /// Returns the conditions of a step's windows.
+    fn conditions(&self, windows: &[Draw], step: u64) -> Vec<Condition> {
+        let seed = self.config.run.seed ^ CONDITION_SEED;
+        let random = &mut generator(seed, step);
+        let conditions = Conditions {
+            config: &self.config.gpt,
+            manners: &self.manners,
+            energy: self.energy.as_ref(),
+        };
+        let pieces = self.set.training.pieces();
+        windows.iter().map(|window| conditions.draw(window, pieces, random)).collect()
     }
 
     /// Returns the corruption of the pasts of a step's windows.
@@ -260,11 +307,11 @@ impl<'a, A: Trainable> GptStage<'a, A> {
         &self,
         parameters: &Parameters<B>,
         (pieces, codes): (&[MotionPiece], &Codes),
-        windows: &[Draw],
+        (windows, conditions): (&[Draw], &[Condition]),
         dropout: f64,
         corruption: Option<InputCorruption>,
     ) -> [Tensor<B, 1>; 3] {
-        let music = self.music(pieces, windows);
+        let music = self.music(pieces, conditions);
         if self.config.ablation.continuous {
             let history = [0, 1].map(|half| self.vectors(codes, windows, half, 0));
             let found = self.net.regress(parameters, music, history, dropout);
@@ -310,7 +357,9 @@ impl<A: Trainable> TrainableStage<A> for GptStage<'_, A> {
         let windows = self.windows.batch(step, stage.training.batch);
         let examples = (self.set.training.pieces(), &self.codes);
         let corruption = Some(self.corruption(&windows, step));
-        let losses = self.losses(parameters, examples, &windows, stage.dropout, corruption);
+        let conditions = self.conditions(&windows, step);
+        let windows = (&windows[..], &conditions[..]);
+        let losses = self.losses(parameters, examples, windows, stage.dropout, corruption);
         let [loss, ..] = losses.clone();
         Losses { loss, metrics: losses.map(Tensor::inner).into() }
     }
@@ -323,12 +372,18 @@ impl<A: Trainable> TrainableStage<A> for GptStage<'_, A> {
         let stride = stage.block * FRAMES_PER_CODE;
         let windows = test.crops_with_music(stride + FRAMES_PER_CODE, stride);
         test_means(&windows, stage.training.batch, |windows| {
-            self.losses(parameters, (test.pieces(), codes), windows, 0.0, None)
+            let pieces = test.pieces();
+            let conditions = windows.iter();
+            let conditions: Vec<_> = conditions
+                .map(|window| Condition::with_style(window, pieces, &self.manners))
+                .collect();
+            self.losses(parameters, (pieces, codes), (windows, &conditions), 0.0, None)
         })
     }
 
     fn save(&self, checkpoint: &mut Checkpoint) {
         self.scale.save(checkpoint);
+        self.manners.save(checkpoint);
         let starts: BTreeSet<[i32; 2]> = self.codes.starts(&self.first_frames()).collect();
         let values: Vec<f32> = starts.iter().flatten().map(|&code| code as f32).collect();
         checkpoint.put_rows("start_codes", 2, &values);

@@ -45,6 +45,12 @@ impl Identity {
     /// weights that it builds on.
     pub(super) fn without_data(config: &Config, stage: Stage) -> Result<Self, TrainError> {
         let mut identity = Self::of_settings(config, |name| concerns(stage, name));
+        let weights = config.data.all_folders().into_iter().map(|folder| folder.weight);
+        let weights: Vec<f64> = weights.collect();
+        // Songs that a policy generates for are drawn alike.
+        if stage != Stage::ActorCritic && weights.iter().any(|&weight| weight != 1.0) {
+            identity = identity.with("weights of data.folders", weights);
+        }
         for base in stage.bases(config) {
             identity = identity.on(base, fingerprint(config, base)?);
         }
@@ -69,6 +75,11 @@ impl Identity {
     pub(super) fn with(mut self, name: &str, value: impl Into<Value>) -> Self {
         self.0.insert(name.to_owned(), value.into());
         self
+    }
+
+    /// Adds the styles that a network has columns for.
+    pub(super) fn with_styles(self, styles: &[String]) -> Self {
+        self.with(&format!("{DATA}styles"), styles.to_vec())
     }
 
     /// Adds numbers that change with the amount of data.

@@ -1,111 +1,21 @@
 //! Motions in memory, as the stages learn from them; the two splits are of different types.
 
-use std::{io::Write, marker::PhantomData, ops::Range};
+use std::{collections::BTreeSet, io::Write, marker::PhantomData};
 
-use bailando::motion::{
-    MotionError, MotionFrame, Positions, joint_speed, slow_share, to_dancer_frame,
-};
-use ndarray::Array2;
+use bailando::{model::check_styles, motion::MotionFrame};
 
 use super::{
     config::Config,
     error::TrainError,
+    piece::{MotionPiece, PieceFacts},
     song::{Song as Target, training_songs},
     songs::{MusicRows, SongRows, song_rows},
     stage::Load,
 };
 use crate::data::{
-    Choice, DataError, Dataset, Draw, Evaluation, FPS, Motion, OpenOptions, Portion, Song,
-    SplitKind, Training, common_frames, crop_starts, mirrored_column, quantised,
+    Choice, DataError, Dataset, Draw, Evaluation, Portion, Recording, Song, SplitKind, Training,
+    crop_starts, quantised,
 };
-
-/// A motion and the songs that go with it.
-#[derive(Clone, Debug)]
-pub struct MotionPiece {
-    /// `[frames, 72]` at 60 fps: the root's velocity (metres per frame) in columns 0..2, the other
-    /// joints relative to the root, as the decoder gives them (ARCHITECTURE section 2); in the
-    /// dancer's frame `[frames, 73]`, turned, with the turn in the last column.
-    motion: Array2<f32>,
-    songs: Vec<SongRows>,
-    /// Frames without those in which the dancer stands at the start and at the end.
-    dancing: Range<usize>,
-}
-
-/// Frames at either end of a recording in which the dancer may stand ready.
-const EDGE: usize = 5 * FPS;
-
-impl MotionPiece {
-    /// Takes joints in world space, `[frames, 24, 3]` metres; without songs.
-    ///
-    /// # Errors
-    /// [`MotionError::Shape`] for other joints.
-    pub fn from_positions(positions: Positions, frame: MotionFrame) -> Result<Self, MotionError> {
-        let motion = Motion::new(positions);
-        let decoded = motion.decoded();
-        let dancing = dancing(&decoded);
-        let columns = match frame {
-            MotionFrame::Dancer => to_dancer_frame(motion.positions())?,
-            MotionFrame::World => decoded,
-        };
-        Ok(Self { motion: columns, songs: Vec::new(), dancing })
-    }
-
-    /// Adds a song.
-    #[must_use]
-    pub fn with_song(mut self, song: SongRows) -> Self {
-        self.songs.push(song);
-        self
-    }
-
-    /// Returns the frames between the last slow frame of the first five seconds and the first slow
-    /// frame of the last five.
-    pub(super) fn dancing(&self) -> Range<usize> {
-        self.dancing.clone()
-    }
-
-    /// Returns the number of frames.
-    #[must_use]
-    pub fn frames(&self) -> usize {
-        self.motion.nrows()
-    }
-
-    /// Returns the songs.
-    #[must_use]
-    pub fn songs(&self) -> &[SongRows] {
-        &self.songs
-    }
-
-    /// Returns the number of frames that have music with every song.
-    pub(super) fn frames_with_music(&self) -> usize {
-        let rows = self.songs.iter().map(|song| song.phase(0).nrows()).min();
-        common_frames(self.frames(), rows.unwrap_or(0))
-    }
-
-    /// Returns the number of start phases, at most `wanted`, for which all of its songs have rows.
-    pub(super) fn phases(&self, wanted: usize) -> usize {
-        let known = self.songs.iter().map(|song| song.phases()).min();
-        known.map_or(wanted, |known| known.min(wanted)).max(1)
-    }
-
-    /// Returns a value of the motion or of its mirror image.
-    pub(super) fn value(&self, frame: usize, column: usize, mirrored: bool) -> f32 {
-        if !mirrored {
-            return self.motion[[frame, column]];
-        }
-        let (source, factor) = mirrored_column(column);
-        factor * self.motion[[frame, source]]
-    }
-}
-
-/// See [`MotionPiece::dancing`]; takes motion as a decoder gives it.
-fn dancing(decoded: &Array2<f32>) -> Range<usize> {
-    let speed = joint_speed(decoded.view());
-    let slow = |&step: &f64| slow_share(&[step], FPS as f64) > 0.0;
-    let begins = speed.iter().take(EDGE).rposition(slow).map_or(0, |last| last + 1);
-    let ends = speed.iter().rev().take(EDGE).rposition(slow);
-    let ends = ends.map_or(decoded.nrows(), |from_the_end| speed.len() - 1 - from_the_end);
-    begins..ends.max(begins)
-}
 
 /// The motions of one split. A function of `Motions<Training>` cannot be given test motions.
 #[derive(Clone, Debug)]
@@ -129,8 +39,8 @@ impl<S: SplitKind> Motions<S> {
 
     fn read(
         portion: &Portion<S>,
-        frame: MotionFrame,
-        quantise_frames: usize,
+        (frame, quantise_frames): (MotionFrame, usize),
+        styles: &[String],
         rows: Option<&MusicRows>,
     ) -> Result<Self, TrainError> {
         let mut pieces = Vec::with_capacity(portion.recordings().len());
@@ -156,17 +66,31 @@ impl<S: SplitKind> Motions<S> {
             };
             let piece = MotionPiece::from_positions(motion.into_positions(), frame);
             let piece = piece.map_err(|error| failed(error.to_string()))?;
-            pieces.push(MotionPiece { songs, ..piece });
+            let piece = piece.with_facts(facts(dance, styles));
+            pieces.push(songs.into_iter().fold(piece, MotionPiece::with_song));
         }
         Ok(Self::new(pieces))
     }
+}
+
+fn facts<S>(recording: &Recording<S>, styles: &[String]) -> PieceFacts {
+    let marks = recording.marks().clone();
+    let style = styles.iter().position(|style| Some(style) == marks.style.as_ref());
+    let grid_beats_s = recording.grid_beats_s().to_vec();
+    PieceFacts { weight: recording.weight(), style, marks, grid_beats_s }
+}
+
+/// Returns the names of the styles of a portion, ascending.
+pub(super) fn style_names<S: SplitKind>(portion: &Portion<S>) -> Vec<String> {
+    let styles = portion.recordings().iter().filter_map(|dance| dance.marks().style.clone());
+    styles.collect::<BTreeSet<_>>().into_iter().collect()
 }
 
 impl Motions<Training> {
     /// Returns the numbers of motions, frames and songs: a run with other data is not resumed.
     pub(super) fn amount(&self) -> [usize; 3] {
         let frames = self.pieces.iter().map(MotionPiece::frames).sum();
-        let songs = self.pieces.iter().map(|piece| piece.songs.len()).sum();
+        let songs = self.pieces.iter().map(|piece| piece.songs().len()).sum();
         [self.pieces.len(), frames, songs]
     }
 
@@ -182,7 +106,7 @@ impl Motions<Training> {
         let choice = |piece: &MotionPiece| Choice {
             frames: piece.frames_with_music(),
             skipped: 0,
-            songs: piece.songs.len(),
+            songs: piece.songs().len(),
             phases: piece.phases(phases),
         };
         self.pieces.iter().map(choice).collect()
@@ -204,7 +128,7 @@ impl Motions<Evaluation> {
     pub(super) fn crops_with_music(&self, length: usize, stride: usize) -> Vec<Draw> {
         let mut crops = Vec::new();
         for (dance, piece) in self.pieces.iter().enumerate() {
-            for song in 0..piece.songs.len() {
+            for song in 0..piece.songs().len() {
                 let starts = crop_starts(piece.frames_with_music(), length, stride);
                 crops.extend(starts.map(|start| fixed(dance, song, start)));
             }
@@ -226,23 +150,24 @@ pub struct MotionSet {
     pub test: Option<Motions<Evaluation>>,
     /// Songs for which a policy generates motion in training ([`Load::Songs`]).
     pub songs: Vec<Target>,
+    /// Names of the styles of the training motions, ascending.
+    pub styles: Vec<String>,
 }
 
 impl MotionSet {
     /// Takes motions of both splits; without songs for rewards.
     #[must_use]
     pub fn new(training: Motions<Training>, test: Option<Motions<Evaluation>>) -> Self {
-        Self { training, test, songs: Vec::new() }
+        Self { training, test, songs: Vec::new(), styles: Vec::new() }
     }
 
-    /// Reads a data folder of any layout.
+    /// Reads the data folders, of any layout.
     ///
     /// # Errors
     /// [`TrainError`] names the first file that cannot be used.
     pub fn read(config: &Config, load: Load, output: &mut impl Write) -> Result<Self, TrainError> {
         let data = &config.data;
-        let options = OpenOptions { audio: data.audio_folder().map(Into::into) };
-        let dataset = Dataset::open(&data.folder, &options)?;
+        let dataset = Dataset::open_all(&data.all_folders(), &data.open_options())?;
         let training = dataset.training()?;
         let test = match dataset.evaluation() {
             Err(DataError::Empty { .. }) => None,
@@ -270,23 +195,33 @@ impl MotionSet {
             Load::Music => config.gpt.quantise_frames,
             Load::Motion | Load::Songs => 0,
         };
+        let styles = style_names(&training);
+        let failed = |message: String| {
+            let path = data.all_folders().swap_remove(0).path;
+            TrainError::Data { path, message }
+        };
+        if config.gpt.styles && styles.is_empty() {
+            return Err(failed("gpt.styles: no training motion has a style".into()));
+        }
+        if config.gpt.styles {
+            check_styles(&styles).map_err(failed)?;
+        }
+        let rows = rows.as_ref();
         let set = Self {
-            training: Motions::read(&training, data.frame, quantise_frames, rows.as_ref())?,
+            training: Motions::read(&training, (data.frame, quantise_frames), &styles, rows)?,
             test: match test {
-                Some(test) => Some(Motions::read(&test, data.frame, 0, rows.as_ref())?),
+                Some(test) => Some(Motions::read(&test, (data.frame, 0), &styles, rows)?),
                 None => None,
             },
             songs: match load {
                 Load::Songs => training_songs(data, &training)?,
                 _ => Vec::new(),
             },
+            styles,
         };
-        if set.training.pieces.is_empty() {
-            return Err(TrainError::Data {
-                path: data.folder.clone(),
-                message: "no motion of the training split has music".into(),
-            });
+        match set.training.pieces.is_empty() {
+            true => Err(failed("no motion of the training split has music".into())),
+            false => Ok(set),
         }
-        Ok(set)
     }
 }

@@ -84,17 +84,20 @@ impl MusicScale {
     fn standardise(&mut self, motions: &Motions<Training>) {
         let columns = self.mean.len();
         let (mut total, mut sums) = (0.0_f64, vec![[0.0_f64; 2]; columns]);
+        // Columns of the manner follow, which stay as they are.
+        let mut measured = 0;
         for piece in motions.pieces() {
             let weight = 1.0 / piece.songs().len() as f64;
             for row in piece.songs().iter().flat_map(|song| song.phase(0).rows()) {
                 total += weight;
+                measured = row.len();
                 for ([sum, squares], &value) in sums.iter_mut().zip(row) {
                     *sum += weight * f64::from(value);
                     *squares += weight * f64::from(value) * f64::from(value);
                 }
             }
         }
-        for (column, [sum, squares]) in sums.into_iter().enumerate() {
+        for (column, [sum, squares]) in sums.into_iter().take(measured).enumerate() {
             let mean = sum / total;
             let variance = (squares / total - mean * mean).max(0.0);
             self.mean[column] = mean as f32;

@@ -9,6 +9,7 @@ use super::{
     gpt::random,
     identity::is_finished,
     kept::{WEIGHT, checkpoint_path, read_finished, read_kept},
+    manners::Manners,
     music_scale::MusicScale,
     stage::Stage,
 };
@@ -25,6 +26,8 @@ pub(super) struct Policy {
     pub(super) net: GptNet,
     pub(super) store: Store,
     pub(super) scale: MusicScale,
+    /// What it is told beside the music.
+    pub(super) manners: Manners,
     /// Pairs of upper and lower codes that training pieces begin with.
     pub(super) starts: Vec<[u32; 2]>,
     /// The critic that learned beside it, if any.
@@ -85,6 +88,7 @@ impl Policy {
             net,
             store: checkpoint.fill(WEIGHT, &store)?,
             scale,
+            manners: Manners::restore(checkpoint)?,
             starts: pairs.collect(),
             critic: critic_store.map(|store| critic.weights(&store)),
         })
@@ -93,12 +97,19 @@ impl Policy {
     /// Adds scale and starts to a checkpoint that [`Policy::of_stage`] reads.
     pub(super) fn save(&self, checkpoint: &mut Checkpoint) {
         self.scale.save(checkpoint);
+        self.manners.save(checkpoint);
         let starts = self.starts.as_flattened().iter();
         let starts: Vec<f32> = starts.map(|&code| code as f32).collect();
         checkpoint.put_rows("start_codes", 2, &starts);
     }
 
-    /// Scales music rows for the weights in the store.
+    /// Scales the rows of a song for the weights in the store, its style beside them.
+    pub(super) fn conditioned(&self, rows: &Array2<f32>, style: Option<&str>) -> Array2<f32> {
+        let manner = self.manners.of_style(style);
+        self.scaled(&self.manners.spec().beside(rows.view(), manner))
+    }
+
+    /// Scales rows with all columns.
     pub(super) fn scaled(&self, rows: &Array2<f32>) -> Array2<f32> {
         let mut scaled = Array2::zeros(rows.dim());
         for (mut scaled, row) in scaled.rows_mut().into_iter().zip(rows.rows()) {

@@ -20,6 +20,8 @@ pub struct Song {
     pub rows: Array2<f32>,
     /// Whether there is a beat, by frame at 60 fps.
     pub beats: Vec<bool>,
+    /// Name of the style that it is danced in, where the data have one.
+    pub style: Option<String>,
 }
 
 impl Song {
@@ -28,7 +30,7 @@ impl Song {
     /// may have every other beat alone, or lie beside the beats.
     fn read(
         music: &MusicSource,
-        told: &[f64],
+        (told, style): (&[f64], Option<&str>),
         library: &mut MusicLibrary,
     ) -> Result<Self, DataError> {
         let rows = library.conditioning(music, 0)?;
@@ -39,7 +41,7 @@ impl Song {
         } else {
             beats_by_frame(told, rows.nrows() * FRAMES_PER_CODE)
         };
-        Ok(Self { rows, beats })
+        Ok(Self { rows, beats, style: style.map(str::to_owned) })
     }
 }
 
@@ -62,7 +64,7 @@ fn beats_by_frame(beats_s: &[f64], frames: usize) -> Vec<bool> {
 /// [`TrainError`] names what is wrong with it.
 pub fn target_song(data: &DataConfig, path: &Path) -> Result<Song, TrainError> {
     let mut library = music_library(data, feature_cache(data)?);
-    Ok(Song::read(&MusicSource::Audio(path.to_owned()), &[], &mut library)?)
+    Ok(Song::read(&MusicSource::Audio(path.to_owned()), (&[], None), &mut library)?)
 }
 
 /// Reads every song of the training split, once.
@@ -72,10 +74,14 @@ pub(super) fn training_songs(
 ) -> Result<Vec<Song>, TrainError> {
     let cache = feature_cache(data)?;
     let library = || music_library(data, cache.clone());
-    let songs = portion.recordings().iter().flat_map(|dance| dance.songs());
-    let music: BTreeMap<&MusicSource, &[f64]> = songs
-        .filter_map(|song| Some((song.music.as_ref()?, song.grid_beats_s.as_slice())))
-        .collect();
+    let mut music: BTreeMap<&MusicSource, (&[f64], Option<&str>)> = BTreeMap::new();
+    for dance in portion.recordings() {
+        let style = dance.marks().style.as_deref();
+        let songs = dance.songs().iter();
+        music.extend(
+            songs.filter_map(|song| Some((song.music.as_ref()?, (&song.grid_beats_s[..], style)))),
+        );
+    }
     let songs = music
         .into_par_iter()
         .map_init(library, |library, (music, told)| Song::read(music, told, library));

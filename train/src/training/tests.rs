@@ -10,6 +10,7 @@ use ndarray::{Array2, Axis, Slice};
 use super::{
     checkpoint::Checkpoint,
     codes::{Augmentation, Codes},
+    condition::Condition,
     crops::motion_columns,
     decode::MotionDecoder,
     frozen::FrozenVqVae,
@@ -126,7 +127,7 @@ fn codes_and_rows_of_every_phase_and_side_lie_at_the_same_frames() {
     let block = config.gpt.block;
     let crops = crate::data::CropPlan { frames: 8 * (block + 1), stride: 8, mirror: true };
     for draw in crops.round(&set.training.music_choices(8), 5, 0) {
-        let rows = values(&stage.music::<Flex>(set.training.pieces(), &[draw]));
+        let rows = values(&stage.music::<Flex>(set.training.pieces(), &[Condition::own(&draw)]));
         for (row, values) in rows.chunks(3).enumerate() {
             // Row k + 1 beside code k, which begins at frame 8 k of the dance without its phase.
             let frame = draw.phase + draw.start + 8 * (row + 1);
@@ -147,6 +148,7 @@ fn test_losses_are_the_losses_without_learning() {
         training.batch = 1;
     }
     (config.vqvae.frames, config.velocity.frames) = (240, 240);
+    config.vqvae.contact_weight = 3.0;
     let set = MotionSet::new(whole(240), Some(whole::<Evaluation>(240)));
     let log = &mut Vec::new();
 
@@ -159,6 +161,7 @@ fn test_losses_are_the_losses_without_learning() {
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
     config.velocity.pose_decoders = true;
     config.velocity.speed_weight = 2.0;
+    config.velocity.contact_weight = 3.0;
     let (spec, mut stage) = VelocityStage::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
     let parameters = Parameters::from_store(&spec.store, &FlexDevice);
     compare(&mut stage, &parameters, &[0, 3]);

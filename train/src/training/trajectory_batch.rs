@@ -162,6 +162,7 @@ mod tests {
             songs: vec![Song {
                 rows: Array2::from_shape_fn((7, 1), |(row, _)| row as f32),
                 beats: Vec::new(),
+                style: None,
             }],
             pieces: 1,
             codes: 6,

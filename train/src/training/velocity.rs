@@ -7,12 +7,14 @@ use burn_tensor::Tensor;
 
 use super::{
     config::Config,
+    contact::Standing,
     crops::{change, differences, motion_columns, motion_windows, test_means},
     error::TrainError,
     frozen::{FrozenVqVae, HALVES, Halves},
     identity::Identity,
-    input::{MotionPiece, MotionSet},
+    input::MotionSet,
     kept::{WEIGHT, read_kept},
+    piece::MotionPiece,
     stage::Stage,
     trainable::{Losses, StageSpec, TrainableStage},
     windows::Windows,
@@ -76,7 +78,7 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
         let frozen = FrozenVqVae::read(config, device)?;
         let Decoders { root, halves, store } = Decoders::new(config, &frozen.halves);
         let crops = (settings.frames, settings.stride);
-        let windows = motion_windows(config, set, crops, config.run.seed ^ 1)?;
+        let windows = motion_windows(config, set, crops, &settings.balance, config.run.seed ^ 1)?;
         let spec = StageSpec {
             name: "velocity",
             run: &config.run,
@@ -118,7 +120,7 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
 
     /// Computes the loss of crops, the root's errors of velocity and of its differences, and the
     /// part of the halves.
-    fn losses<B: Kernels>(
+    fn losses<B: Kernels<Device = A::Device>>(
         &self,
         parameters: &Parameters<B>,
         (pieces, windows): (&[MotionPiece], &[Draw]),
@@ -126,20 +128,40 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
     ) -> [Tensor<B, 1>; 4] {
         let lower = self.half_examples(1, pieces, windows);
         let target = lift(self.root_target(pieces, windows));
-        let found = self.root.forward(parameters, lift(lower.entries.clone()));
-        let [velocity, difference, _] = differences(found - target);
+        let root = self.root.forward(parameters, lift(lower.entries.clone()));
+        let [velocity, difference, _] = differences(root.clone() - target);
         let weight = self.config.velocity.difference_weight;
         let mut loss = velocity.clone() + difference.clone().mul_scalar(weight);
         let mut poses = loss.zeros_like();
         if let Some(decoders) = &self.halves {
             let upper = self.half_examples(0, pieces, windows);
-            for (decoder, half) in decoders.iter().zip([upper, lower]) {
+            let columns = &self.frozen.halves.columns;
+            for ((decoder, half), columns) in decoders.iter().zip([upper, lower]).zip(columns) {
                 let found = decoder.forward(parameters, lift(half.entries));
+                if let Some(way) = self.contact_loss(columns, (pieces, windows), [&found, &root]) {
+                    poses = poses + way;
+                }
                 poses = poses + self.pose_loss(found, lift(half.target));
             }
             loss = loss + poses.clone();
         }
         [loss, velocity, difference, poses]
+    }
+
+    /// Computes the loss of decoded joints' and root's way under standing feet; `None` where it
+    /// does not count, or for a half without feet.
+    fn contact_loss<B: Kernels<Device = A::Device>>(
+        &self,
+        columns: &[Option<usize>],
+        examples: (&[MotionPiece], &[Draw]),
+        [joints, root]: [&Tensor<B, 3>; 2],
+    ) -> Option<Tensor<B, 1>> {
+        let settings = &self.config.velocity;
+        if settings.contact_weight == 0.0 {
+            return None;
+        }
+        let standing = Standing::of(columns, examples, settings.frames, &self.device)?;
+        Some(standing.way(joints, root).mul_scalar(settings.contact_weight))
     }
 
     /// Computes the loss of stage `vqvae` plus the error of every joint's speed: where a code

@@ -2,16 +2,18 @@
 
 use std::path::Path;
 
-use burn_tensor::{Tensor, backend::Backend};
+use burn_tensor::Tensor;
 
 use super::{
     checkpoint::Checkpoint,
     config::Config,
+    contact::Standing,
     crops::{differences, motion_columns, motion_windows, test_means},
     error::TrainError,
     frozen::{HALVES, Halves, read_codebook, save_codebook},
     identity::Identity,
-    input::{MotionPiece, MotionSet},
+    input::MotionSet,
+    piece::MotionPiece,
     stage::Stage,
     trainable::{Losses, StageSpec, TrainableStage},
     windows::{Windows, generator},
@@ -19,7 +21,7 @@ use super::{
 use crate::{
     checkpoint::TorchCheckpoint,
     data::Draw,
-    nn::{Codebook, HalfNet, MovingAverage, Parameters, Trainable},
+    nn::{Codebook, HalfNet, Kernels, MovingAverage, Parameters, Trainable},
     weights::VqVaeWeights,
 };
 
@@ -64,7 +66,7 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
             halves = found;
         }
         let crops = (settings.frames, settings.stride);
-        let windows = motion_windows(config, set, crops, config.run.seed)?;
+        let windows = motion_windows(config, set, crops, &settings.balance, config.run.seed)?;
         let spec = StageSpec {
             name: "vqvae",
             run: &config.run,
@@ -123,7 +125,7 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
             (encoded - distance.clone().detach(), distance)
         };
         let error = net.decoder.forward(parameters, passed) - target;
-        let losses = self.losses(error, distance);
+        let losses = self.losses(half, error, distance, (pieces, windows));
         let [loss, ..] = losses.clone();
         let mut metrics: Vec<_> = losses.map(Tensor::inner).into();
         metrics.extend([perplexity, restarted]);
@@ -132,14 +134,28 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
 
     /// Computes the loss of one half and its unweighted parts: position, velocity, acceleration,
     /// commitment.
-    fn losses<B: Backend>(&self, error: Tensor<B, 3>, distance: Tensor<B, 3>) -> [Tensor<B, 1>; 5] {
+    fn losses<B: Kernels<Device = A::Device>>(
+        &self,
+        half: usize,
+        error: Tensor<B, 3>,
+        distance: Tensor<B, 3>,
+        crops: (&[MotionPiece], &[Draw]),
+    ) -> [Tensor<B, 1>; 5] {
         let settings = &self.config.vqvae;
         let commitment = distance.square().mean();
+        let standing = (settings.contact_weight > 0.0).then(|| {
+            let columns = &self.columns[half];
+            Standing::of(columns, crops, settings.frames, &self.device)
+        });
+        let feet = standing.flatten().map(|standing| standing.velocity_error(&error));
         let [position, velocity, acceleration] = differences(error);
-        let loss = position.clone()
+        let mut loss = position.clone()
             + velocity.clone().mul_scalar(settings.velocity_weight)
             + acceleration.clone().mul_scalar(settings.acceleration_weight)
             + commitment.clone().mul_scalar(settings.commitment);
+        if let Some(feet) = feet {
+            loss = loss + feet.mul_scalar(settings.contact_weight);
+        }
         [loss, position, velocity, acceleration, commitment]
     }
 
@@ -162,7 +178,8 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
             false => codebook.quantised(encoded.clone()),
         };
         let error = net.decoder.forward(parameters, quantised.clone()) - target;
-        let [loss, position, ..] = self.losses(error, encoded - quantised);
+        let distance = encoded - quantised;
+        let [loss, position, ..] = self.losses(half, error, distance, (pieces, crops));
         [loss, position]
     }
 }

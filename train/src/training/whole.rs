@@ -8,7 +8,9 @@ use super::{
     export::{export, is_exported},
     identity::is_finished,
     input::MotionSet,
+    policy::Policy,
     runner::{Limits, Outcome},
+    song_styles::{learn_styles, read_classifier},
     stage::{Load, Stage},
     train::train,
 };
@@ -51,6 +53,12 @@ pub fn run_all(
     if config.ablation.flag().is_some() {
         tell(output, "export: left out, as parts of the model are ([ablation])");
         return Ok(Outcome::Finished);
+    }
+    if config.gpt.styles
+        && read_classifier(config, &Policy::latest(config)?.manners.styles)?.is_none()
+    {
+        let report = learn_styles(config, output)?;
+        tell(output, &format!("styles of songs:\n{report}"));
     }
     let folder = config.export.folder.display();
     if !replace && is_exported(config)? {

@@ -3,27 +3,42 @@
 
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng};
 
+use super::{balance::window_weights, config::BalanceConfig, piece::MotionPiece};
 use crate::data::{Choice, CropPlan, Draw};
 
-/// All windows that a stage learns from, in a new order every round.
+/// The windows that a stage learns from, drawn again every round.
 pub(super) struct Windows {
     plan: CropPlan,
     motions: Vec<Choice>,
     count: usize,
     seed: u64,
     drawn: Option<(u64, Vec<Draw>)>,
+    /// One for each window; none where each is drawn once a round.
+    weights: Option<Vec<f64>>,
 }
 
 impl Windows {
     /// Returns the windows of all motions; `None` where no motion is long enough for one.
     pub(super) fn new(plan: CropPlan, motions: Vec<Choice>, seed: u64) -> Option<Self> {
         let count = plan.crops(&motions);
-        (count > 0).then_some(Self { count, plan, motions, seed, drawn: None })
+        (count > 0).then_some(Self { count, plan, motions, seed, drawn: None, weights: None })
+    }
+
+    /// Draws windows by how much is worth learning in `pieces`, out of which they are.
+    pub(super) fn balanced(self, balance: &BalanceConfig, pieces: &[MotionPiece]) -> Self {
+        let places: Vec<(usize, usize)> = self.plan.places(&self.motions).collect();
+        let weights = window_weights(balance, pieces, &places, self.plan.frames);
+        Self { weights, ..self }
     }
 
     /// Returns the number of windows in a round.
     pub(super) fn len(&self) -> usize {
         self.count
+    }
+
+    /// Returns every window, a motion and a first frame each.
+    pub(super) fn places(&self) -> impl Iterator<Item = (usize, usize)> {
+        self.plan.places(&self.motions)
     }
 
     /// Returns the windows of a step: round after round over all motions.
@@ -37,7 +52,10 @@ impl Windows {
         let (round, index) = (place / count, (place % count) as usize);
         let draws = match self.drawn.take() {
             Some((known, draws)) if known == round => draws,
-            _ => self.plan.round(&self.motions, self.seed, round),
+            _ => match &self.weights {
+                Some(weights) => self.plan.weighted_round(&self.motions, weights, self.seed, round),
+                None => self.plan.round(&self.motions, self.seed, round),
+            },
         };
         let draw = draws[index];
         self.drawn = Some((round, draws));

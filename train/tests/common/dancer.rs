@@ -30,15 +30,20 @@ pub(crate) fn turning() -> VqVaeWeights {
 
 /// The golden GPT that is conditioned on so many periods of counts as well.
 pub(crate) fn counting(periods: usize) -> GptWeights {
+    widened(2 * periods, 1.0)
+}
+
+/// The golden GPT with so many columns more, whose weights are up to a tenth of `scale`.
+pub(crate) fn widened(more: usize, scale: f32) -> GptWeights {
     let mut weights = gpt();
     let weight = &weights.music.weight;
     let (channels, columns) = (weight.dim(0), weight.dim(1));
     let mut values = Vec::new();
     for (channel, row) in weight.data().chunks(columns).enumerate() {
         values.extend(row);
-        values.extend((0..2 * periods).map(|column| small(7 * channel + column)));
+        values.extend((0..more).map(|column| scale * small(7 * channel + column)));
     }
-    let shape = vec![channels, columns + 2 * periods];
+    let shape = vec![channels, columns + more];
     weights.music.weight = HostTensor::new(shape, values).unwrap();
     weights
 }

@@ -88,9 +88,9 @@ fn without_digits(value: &mut Value) {
 #[test]
 fn rotations_and_music_are_absent_unless_there() {
     let mut motion = short(1);
-    motion.music = None;
+    (motion.music, motion.style) = (None, None);
     let value = json(&motion, JsonOptions::default());
-    for key in ["rotations", "root", "music"] {
+    for key in ["rotations", "root", "music", "style"] {
         assert!(value.get(key).is_none(), "{key}");
     }
 }

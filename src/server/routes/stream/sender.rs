@@ -198,6 +198,7 @@ fn start_of(opening: &Opening) -> Start<'_> {
         fps: opening.fps,
         frames: opening.frames,
         skeleton: &opening.skeleton,
+        style: opening.style.as_deref(),
         music: opening.music.as_ref(),
         timings: opening.timings,
         warnings: &opening.warnings,

@@ -7,7 +7,7 @@ use ndarray::Array2;
 use super::*;
 use crate::{
     nn::GptNet,
-    training::{gpt::random, music_scale::MusicScale},
+    training::{gpt::random, manners::Manners, music_scale::MusicScale},
 };
 
 const COLUMNS: usize = 3;
@@ -41,6 +41,7 @@ fn toy(folder: &Path) -> (Config, Policy, Vec<Song>) {
         net: GptNet::new(&random(&config, COLUMNS), &mut store),
         store,
         scale: MusicScale { mean: vec![0.0; COLUMNS], spread: vec![1.0; COLUMNS] },
+        manners: Manners::default(),
         starts: vec![[3, 5], [9, 1]],
         critic: None,
     };
@@ -49,6 +50,7 @@ fn toy(folder: &Path) -> (Config, Policy, Vec<Song>) {
             (row as f32 * (0.5 + column as f32) + phase).sin()
         }),
         beats: Vec::new(),
+        style: None,
     };
     (config, policy, [0.0, 1.0].map(song).into())
 }

@@ -12,15 +12,17 @@ pub use self::{
     stages::CheckpointPolicy,
 };
 pub(super) use self::{
+    balance::BalanceConfig,
     export::ExportConfig,
     stages::{
         ActorCriticConfig, AdaptConfig, GptConfig, MusicColumns, VelocityConfig, VqVaeConfig,
     },
 };
 use super::error::TrainError;
-use crate::data::{JOINTS, PHASES};
+use crate::data::{DataFolder, JOINTS, OpenOptions, PHASES};
 
 mod ablation;
+mod balance;
 mod checks;
 mod export;
 mod optimiser;
@@ -51,6 +53,7 @@ pub struct Config {
 #[expect(missing_docs, reason = "the commented preset is the documentation")]
 pub struct DataConfig {
     pub folder: PathBuf,
+    pub folders: Vec<DataFolder>,
     pub profile: Profile,
     pub audio: PathBuf,
     pub cache: PathBuf,
@@ -71,6 +74,11 @@ impl DataConfig {
 
     fn check(&self) -> Result<(), String> {
         let Self { phases, count_periods, .. } = self;
+        let wrong = |folder: &&DataFolder| !(folder.weight > 0.0 && folder.weight.is_finite());
+        if let Some(DataFolder { path, weight }) = self.folders.iter().find(wrong) {
+            let path = path.display();
+            return Err(format!("folders: the weight of {path} ({weight}) must be above 0"));
+        }
         if !(1..=PHASES).contains(phases) {
             return Err(format!("phases ({phases}) must lie in 1..={PHASES}"));
         }
@@ -83,8 +91,33 @@ impl DataConfig {
         Ok(())
     }
 
+    /// Returns every data folder with its weight.
+    pub(crate) fn all_folders(&self) -> Vec<DataFolder> {
+        match self.folders.is_empty() {
+            true => vec![DataFolder { path: self.folder.clone(), weight: 1.0 }],
+            false => self.folders.clone(),
+        }
+    }
+
+    /// Replaces the data folders, none of them changes nothing; the first keeps the weight of what
+    /// was the first, and so on.
+    pub(crate) fn replace_folders(&mut self, paths: &[PathBuf]) {
+        if paths.is_empty() {
+            return;
+        }
+        let weights = self.all_folders().into_iter().map(|folder| folder.weight);
+        let weights = weights.chain(std::iter::repeat(1.0));
+        let folders = paths.iter().cloned().zip(weights);
+        self.folders = folders.map(|(path, weight)| DataFolder { path, weight }).collect();
+    }
+
+    /// Returns how the data folders are opened.
+    pub(crate) fn open_options(&self) -> OpenOptions {
+        OpenOptions { audio: self.audio_folder().map(Into::into) }
+    }
+
     /// Returns the folder of the songs, where they are kept apart.
-    pub(super) fn audio_folder(&self) -> Option<&Path> {
+    fn audio_folder(&self) -> Option<&Path> {
         Some(self.audio.as_path()).filter(|folder| !folder.as_os_str().is_empty())
     }
 
@@ -204,9 +237,10 @@ mod tests {
             include_str!("../../../presets/default.toml"),
             include_str!("../../../presets/tiny.toml"),
             include_str!("../../../presets/ablation.toml"),
+            include_str!("../../../presets/styles.toml"),
         ];
         let widths = presets.map(|text| Config::parse(text).unwrap().vqvae.width);
-        assert_eq!(widths, [512, 192, 16, 48]);
+        assert_eq!(widths, [512, 192, 16, 48, 192]);
     }
 
     #[test]
@@ -215,6 +249,24 @@ mod tests {
         assert_eq!(config.vqvae.training.rate, 0.5);
         assert_eq!(config.vqvae.training.batch, 32);
         assert_eq!(config.gpt.training.rate, 3e-4);
+    }
+
+    #[test]
+    fn folders_of_the_command_line_replace_those_of_the_settings_and_keep_their_weights() {
+        let text = "[[data.folders]]\npath = \"a\"\nweight = 3.0\n[[data.folders]]\npath = \"b\"";
+        let mut data = Config::parse(text).unwrap().data;
+        let folders = |data: &DataConfig| -> Vec<(String, f64)> {
+            let folders = data.all_folders().into_iter();
+            folders.map(|folder| (folder.path.display().to_string(), folder.weight)).collect()
+        };
+        data.replace_folders(&[]);
+        assert_eq!(folders(&data), [("a".into(), 3.0), ("b".into(), 1.0)]);
+        data.replace_folders(&["c", "d", "e"].map(PathBuf::from));
+        assert_eq!(folders(&data), [("c".into(), 3.0), ("d".into(), 1.0), ("e".into(), 1.0)]);
+        let mut one = Config::parse("[data]\nfolder = \"x\"").unwrap().data;
+        assert_eq!(folders(&one), [("x".into(), 1.0)]);
+        one.replace_folders(&[PathBuf::from("y")]);
+        assert_eq!(folders(&one), [("y".into(), 1.0)]);
     }
 
     #[test]
@@ -227,6 +279,14 @@ mod tests {
             "[data]\ncount_periods = [4, 0]",
             "[data]\ncount_periods = [4]\nprofile = \"librosa-0.8.1\"",
             "[data]\nframe = \"sideways\"",
+            "[[data.folders]]\npath = \"a\"\nweight = 0.0",
+            "[[data.folders]]\nweight = 1.0",
+            "[vqvae.balance]\nstyles = 1.5",
+            "[velocity.balance]\nphrases = -0.5",
+            "[gpt.balance]\nstill = 1.1",
+            "[gpt.balance]\ndamaged = nan",
+            "[gpt]\nstyle_drop = 1.5",
+            "[gpt]\nrecombine = -0.1",
             "[run]\nlog_steps = 0",
             "[run]\ncheckpoint_seconds = nan",
             "[vqvae]\nvelocity_weight = -1.0",
@@ -237,6 +297,8 @@ mod tests {
             "[vqvae]\ndecay = nan",
             "[velocity]\ndifference_weight = -1.0",
             "[velocity]\nspeed_weight = -1.0",
+            "[velocity]\ncontact_weight = 1.0",
+            "[vqvae]\ncontact_weight = -1.0",
             "[gpt]\nheads = 5",
             "[gpt]\nphases = 2",
             "[gpt]\ncode_noise = 1.0",

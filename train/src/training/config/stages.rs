@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::{
-    checks::{at_least_one, not_negative, within_range},
+    balance::BalanceConfig,
+    checks::{at_least_one, not_negative, within, within_range},
     optimiser::TrainingConfig,
 };
 use crate::{data::FRAMES_PER_CODE, training::reward::BeatReward};
@@ -32,6 +33,8 @@ pub struct VqVaeConfig {
     pub commitment: f64,
     pub decay: f64,
     pub restart_below: f64,
+    pub contact_weight: f64,
+    pub balance: BalanceConfig,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
     pub checkpoint_policy: CheckpointPolicy,
@@ -49,7 +52,9 @@ impl VqVaeConfig {
             ("acceleration_weight", self.acceleration_weight),
             ("commitment", self.commitment),
             ("restart_below", self.restart_below),
+            ("contact_weight", self.contact_weight),
         ])?;
+        within("balance.", self.balance.check())?;
         within_range([("decay", self.decay)], 0.0..1.0, "0..1")?;
         check_crops(self.frames, self.stride)
     }
@@ -64,6 +69,8 @@ pub struct VelocityConfig {
     pub difference_weight: f64,
     pub pose_decoders: bool,
     pub speed_weight: f64,
+    pub contact_weight: f64,
+    pub balance: BalanceConfig,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
     pub checkpoint_policy: CheckpointPolicy,
@@ -74,7 +81,12 @@ impl VelocityConfig {
         not_negative([
             ("difference_weight", self.difference_weight),
             ("speed_weight", self.speed_weight),
+            ("contact_weight", self.contact_weight),
         ])?;
+        if self.contact_weight > 0.0 && !self.pose_decoders {
+            return Err("contact_weight needs pose_decoders, which decode the feet".into());
+        }
+        within("balance.", self.balance.check())?;
         check_crops(self.frames, self.stride)
     }
 }
@@ -111,6 +123,11 @@ pub struct GptConfig {
     #[serde(rename = "hear")]
     pub music_columns: MusicColumns,
     pub standardise_music: bool,
+    pub styles: bool,
+    pub energy: bool,
+    pub style_drop: f64,
+    pub recombine: f64,
+    pub balance: BalanceConfig,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
     pub checkpoint_policy: CheckpointPolicy,
@@ -135,7 +152,13 @@ impl GptConfig {
         }
         let shares = [("dropout", self.dropout), ("code_noise", self.code_noise)];
         within_range(shares, 0.0..1.0, "0..1")?;
-        within_range([("slip_share", self.shift_share)], 0.0..=1.0, "0..=1")?;
+        let shares = [
+            ("slip_share", self.shift_share),
+            ("style_drop", self.style_drop),
+            ("recombine", self.recombine),
+        ];
+        within_range(shares, 0.0..=1.0, "0..=1")?;
+        within("balance.", self.balance.check())?;
         if self.shift_share > 0.0 && self.shift_frames == 0 {
             return Err("slip_frames must be at least 1 where slip_share is not 0".into());
         }

@@ -6,6 +6,7 @@ fn plan() -> RolloutPlan {
     let song = |rows: usize| Song {
         rows: Array2::zeros((rows, 2)),
         beats: (0..8 * rows).map(|frame| frame == 16).collect(),
+        style: None,
     };
     let mut plan = RolloutPlan {
         songs: vec![song(12), song(4), song(30)],
