@@ -15,6 +15,7 @@ RUN if [ "$(uname -m)" = aarch64 ]; then \
 COPY Cargo.toml Cargo.lock ./
 COPY .cargo .cargo
 COPY crates crates
+COPY models/beats models/beats
 COPY train/Cargo.toml train/
 RUN mkdir -p src train/src train/benches \
     && touch src/lib.rs train/src/lib.rs train/benches/steps.rs \
@@ -51,6 +52,7 @@ ENV ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so \
 WORKDIR /app
 COPY LICENSE ./
 COPY models/default models/default
+COPY models/beats/LICENCE.md models/beats/manifest.json models/beats/
 COPY --from=builder /build/target/release/bailando /usr/local/bin/
 # A number, so that an orchestrator can check that it is not root.
 USER 10001:10001

@@ -49,7 +49,7 @@ pub struct GenerationOptions {
     pub fps: u32,
     /// Whether the dancer travels; `false` holds x and z of the root at 0 and keeps y.
     pub root_motion: bool,
-    /// Whether to find the music's tempo and beats.
+    /// Whether to find the music's tempo, beats and bars.
     pub music: bool,
 }
 

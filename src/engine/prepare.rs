@@ -63,7 +63,8 @@ impl Preparer {
         let options = &request.options;
         let selection = Selection {
             range: options.range,
-            beats: options.music || options.candidates(manifest, self.rows) > 1,
+            music: options.music,
+            is_chosen: options.candidates(manifest, self.rows) > 1,
         };
         let cancel = request.completion.token();
         let timings = &mut request.prologue.timings;
@@ -72,9 +73,7 @@ impl Preparer {
         let frontend = &self.frontend;
         let mut conditioning = frontend.condition(audio, selection, &cancel, progress, timings)?;
         request.prologue.warnings = std::mem::take(&mut conditioning.warnings);
-        if options.music {
-            request.prologue.music = conditioning.music_info();
-        }
+        request.prologue.music = conditioning.music.take();
         let sink = match request.stream.take() {
             None => {
                 let options = finish_options(&request, self.directory.manifest().fps);
@@ -96,7 +95,7 @@ impl Preparer {
         request: AcceptedRequest,
     ) -> Result<(), EngineError> {
         let columns = self.directory.manifest().features.columns;
-        self.schedule_conditioned(Conditioning::new(rows, None, columns)?, request)
+        self.schedule_conditioned(Conditioning::new(rows, Vec::new(), columns)?, request)
     }
 
     /// Schedules a request whose motion is wanted as it is decoded.

@@ -160,7 +160,7 @@ options! {
         root_motion: bool, Accepts::Boolean, "true",
             "Whether the dancer travels; false holds x and z of the root at 0 and keeps y.";
         music: bool, Accepts::Boolean, "true for json, else false",
-            "Whether to find the music's tempo and beats.";
+            "Whether to find the music's tempo, beats and bars.";
     }
     Output {
         encoding: Encoding, Accepts::Words(&["json", "base64"]), "json",

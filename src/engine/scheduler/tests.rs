@@ -114,7 +114,7 @@ impl Harness {
                 _ => (row * 31 + column) as f32,
             }),
             beats: asked.beats,
-            tempo_bpm: None,
+            music: None,
             warnings: Vec::new(),
         };
         let request = AcceptedRequest {

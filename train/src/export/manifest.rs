@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use bailando::{
     features::{HOP, Profile, Rate},
     model::{
-        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
+        CountSource, DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
         SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
     },
     motion::MotionFrame,
@@ -76,6 +76,7 @@ pub(super) fn manifest(
             hop: HOP,
             columns: gpt.columns(),
             count_periods: description.count_periods.clone(),
+            counts: CountSource::default(),
         },
         fps: FPS,
         frames_per_code: vqvae.frames_per_code(),
