@@ -15,6 +15,7 @@ RUN if [ "$(uname -m)" = aarch64 ]; then \
 COPY Cargo.toml Cargo.lock ./
 COPY .cargo .cargo
 COPY crates crates
+COPY models/beats models/beats
 COPY train/Cargo.toml train/
 RUN mkdir -p src train/src train/benches \
     && touch src/lib.rs train/src/lib.rs train/benches/steps.rs \
@@ -26,7 +27,7 @@ COPY . .
 RUN touch src/lib.rs src/main.rs \
     && cargo build --release --locked --package bailando --bin bailando \
     # Readable by any user, also from a checkout under a strict umask.
-    && chmod --recursive a+rX models/default LICENSE
+    && chmod --recursive a+rX models LICENSE
 
 FROM debian:bookworm-slim AS onnxruntime
 # hadolint ignore=DL3008
@@ -53,6 +54,7 @@ ENV ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so \
 WORKDIR /app
 COPY --from=builder /build/LICENSE ./
 COPY --from=builder /build/models/default models/default
+COPY --from=builder /build/models/beats/LICENCE.md /build/models/beats/manifest.json models/beats/
 COPY --from=builder /build/target/release/bailando /usr/local/bin/
 # A number, so that an orchestrator can check that it is not root. Any other user will do: nothing is
 # written, and everything is readable by all.

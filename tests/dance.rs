@@ -10,7 +10,7 @@ use bailando::{
     formats::{Continuation, GeneratedMotion, OutputFormat, WriteOptions},
     motion::{self, FinishOptions, Finisher, PositionsSource},
 };
-use bailando_testkit::{song, wav::wav16};
+use bailando_testkit::{song, sound, wav::wav16};
 use ndarray::{Array2, Array3, Axis, Slice};
 
 use crate::support::{TINY, dance_to, dances, music};
@@ -382,4 +382,27 @@ fn other_frame_rates_and_a_dancer_in_place() {
         assert_eq!(dance.animation.root.len(), expected);
         assert!(dance.animation.root.iter().all(|root| root.x == 0.0 && root.z == 0.0));
     }
+}
+
+/// Music is told with its bars, noise with a warning; the dance does not depend on what is told.
+#[test]
+fn beats_are_told_where_there_are_any() {
+    let told = |audio: Vec<u8>, music: bool| {
+        let range = AudioRange { offset_s: 0.0, duration_s: Some(8.0) };
+        let seed = Some(5);
+        let options = GenerationOptions { seed, music, range, ..GenerationOptions::default() };
+        dance_to(&TINY, audio, &options)
+    };
+    let dance = told(song("demo.ogg"), true);
+    let music = dance.music.as_ref().unwrap();
+    assert!((music.tempo_bpm - 104.0).abs() < 1.0 && music.tempo_steady, "{music:?}");
+    assert_eq!(music.metre, 4);
+    assert!(music.downbeats_s.iter().all(|first| music.beats_s.contains(first)));
+    assert!((3..=4).contains(&music.downbeats_s.len()) && music.confidence > 0.5, "{music:?}");
+    assert_eq!(told(song("demo.ogg"), false).codes, dance.codes);
+    let noise: Vec<f32> = sound::noise(8 * 22_050).iter().map(|x| 0.3 * x).collect();
+    let dance = told(wav(&noise, 22_050), true);
+    let music = dance.music.unwrap();
+    assert!(music.beats_s.is_empty() && music.downbeats_s.is_empty(), "{music:?}");
+    assert!(dance.warnings.iter().any(|warning| warning.contains("beats")), "{:?}", dance.warnings);
 }

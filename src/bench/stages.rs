@@ -10,9 +10,9 @@ use super::{
 use crate::{
     CancelToken,
     audio::{self, AudioLimits, AudioRange},
-    features::{FeatureExtractor, Profile, Rate},
+    features::{BeatFinder, FeatureExtractor, Profile, Rate},
     formats::{BvhUnit, GeneratedMotion, to_bvh},
-    model::ModelDirectory,
+    model::{BeatNetwork, ModelDirectory},
 };
 
 /// The seed of all generations.
@@ -37,10 +37,13 @@ pub(super) fn measure(
 /// Measures the way from bytes to features and beats.
 fn frontend(options: &BenchOptions) -> Result<Vec<Stage>> {
     let repeats = options.repeats;
+    let decode_at = |rates: &[u32]| {
+        let (song, limits) = (options.song.clone(), AudioLimits::default());
+        audio::decode(song, AudioRange::default(), rates, &limits, &CancelToken::new())
+    };
     let decode = |rates: &[Rate]| {
         let rates: Vec<u32> = rates.iter().map(|rate| rate.hz()).collect();
-        let (song, limits) = (options.song.clone(), AudioLimits::default());
-        audio::decode(song, AudioRange::default(), &rates, &limits, &CancelToken::new())
+        decode_at(&rates)
     };
     let mut stages = Vec::new();
     let both = [Rate::Conditioning, Rate::Beats];
@@ -59,6 +62,12 @@ fn frontend(options: &BenchOptions) -> Result<Vec<Stage>> {
             stages.push(stage("beats", 2, seconds));
         }
     }
+    let song = decode_at(&[BeatFinder::HZ])?.signals.swap_remove(0);
+    let (mut finder, mut network) = (BeatFinder::new(), BeatNetwork::open()?);
+    let seconds = median(repeats, || -> Result<_> {
+        network.beats(&mut finder, &song, &CancelToken::new())
+    })?;
+    stages.push(stage("beats_and_bars", 1, seconds));
     Ok(stages)
 }
 

@@ -6,8 +6,8 @@ use anyhow::Context;
 use bailando::{
     CancelToken,
     audio::{self, AudioLimits, AudioRange},
-    features::{FeatureExtractor, Profile, Rate, with_counts_of},
-    model::ModelDirectory,
+    features::{BeatFinder, BeatPhase, FeatureExtractor, Profile, Rate, with_counts},
+    model::{BeatNetwork, CountSource, ModelDirectory},
 };
 use clap::ValueEnum;
 
@@ -40,6 +40,9 @@ pub(super) struct FeaturesArgs {
         value_parser = clap::value_parser!(u32).range(1..)
     )]
     count_periods: Vec<u32>,
+    /// The tracker that counts are taken from: a model needs the one it was trained with
+    #[arg(long, value_enum, default_value = "librosa", conflicts_with = "model_dir")]
+    counts: CountsArg,
     /// Longest song in seconds
     #[arg(
         long,
@@ -66,11 +69,18 @@ enum ProfileArg {
     Librosa081,
 }
 
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum CountsArg {
+    Librosa,
+    Beatnet,
+}
+
 /// The columns to write.
 struct Columns {
     rate: Rate,
     profile: Profile,
     count_periods: Vec<u32>,
+    counts: CountSource,
 }
 
 impl FeaturesArgs {
@@ -82,6 +92,7 @@ impl FeaturesArgs {
                 rate: Rate::Conditioning,
                 profile: features.profile,
                 count_periods: features.count_periods.clone(),
+                counts: features.counts,
             });
         }
         let rate = match self.rate {
@@ -97,7 +108,11 @@ impl FeaturesArgs {
             let problem = "--count-periods needs --rate 3840 and --profile librosa-0.11";
             return Err(Usage(problem.into()).into());
         }
-        Ok(Columns { rate, profile, count_periods: self.count_periods.clone() })
+        let counts = match self.counts {
+            CountsArg::Librosa => CountSource::Librosa,
+            CountsArg::Beatnet => CountSource::Beatnet,
+        };
+        Ok(Columns { rate, profile, count_periods: self.count_periods.clone(), counts })
     }
 }
 
@@ -107,7 +122,7 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
         let output = args.output.display();
         return Err(Usage(format!("{output}: features are written as NumPy files, .npy")).into());
     }
-    let Columns { rate, profile, count_periods } = args.columns()?;
+    let Columns { rate, profile, count_periods, counts } = args.columns()?;
     let name = || args.audio.display().to_string();
     let song = read_file(&args.audio)?;
     // No shortest length here: the features have their own.
@@ -120,7 +135,10 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
     let (range, cancel) = (AudioRange::default(), CancelToken::new());
     let mut rates = vec![rate.hz()];
     if !count_periods.is_empty() {
-        rates.push(Rate::Beats.hz());
+        rates.push(match counts {
+            CountSource::Librosa => Rate::Beats.hz(),
+            CountSource::Beatnet => BeatFinder::HZ,
+        });
     }
     let decoded = audio::decode(song.into(), range, &rates, &limits, &cancel);
     let mut decoded = decoded.with_context(name)?;
@@ -131,8 +149,19 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
     let mut rows = rows.with_context(name)?;
     if !count_periods.is_empty() {
         let signal = decoded.signals.swap_remove(1);
-        let beats = FeatureExtractor::new(Rate::Beats, profile).beats_until(signal, &cancel);
-        rows = with_counts_of(&beats.with_context(name)?, rows, &count_periods);
+        let phase = match counts {
+            CountSource::Librosa => {
+                let beats =
+                    FeatureExtractor::new(Rate::Beats, profile).beats_until(signal, &cancel);
+                BeatPhase::find(&beats.with_context(name)?, rows.view())
+            }
+            CountSource::Beatnet => {
+                let finder = &mut BeatFinder::new();
+                let song = BeatNetwork::open()?.beats::<anyhow::Error>(finder, &signal, &cancel);
+                BeatPhase::of(&song.with_context(name)?, rows.view())
+            }
+        };
+        rows = with_counts(rows, phase.as_ref(), 0.0, &count_periods);
     }
     let output = args.output.display();
     ndarray_npy::write_npy(&args.output, &rows).with_context(|| output.to_string())?;

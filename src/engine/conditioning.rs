@@ -3,10 +3,7 @@
 use ndarray::{Array2, Axis, Slice, concatenate};
 
 use super::EngineError;
-use crate::{
-    features::{Beats, Rate},
-    formats::MusicInfo,
-};
+use crate::formats::MusicInfo;
 
 /// Codes of an earlier motion that are given as the first ones of a motion that continues it.
 pub(super) const PROMPT_CODES: usize = 1;
@@ -18,8 +15,8 @@ pub(crate) struct Conditioning {
     pub(crate) features: Array2<f32>,
     /// Frames of the beats, ascending; none where they are not known.
     pub(crate) beats: Vec<usize>,
-    /// Beats per minute, where beats were tracked; 0 when none were found.
-    pub(crate) tempo_bpm: Option<f64>,
+    /// Tempo, beats and bars for the caller, where they are wanted.
+    pub(crate) music: Option<MusicInfo>,
     /// Seconds of audio that are danced to; none for feature rows.
     pub(crate) seconds: Option<f64>,
     /// What was trimmed, truncated or assumed about the audio.
@@ -27,10 +24,11 @@ pub(crate) struct Conditioning {
 }
 
 impl Conditioning {
-    /// Refuses rows that a model of `columns` columns cannot be conditioned on.
+    /// Refuses rows that a model of `columns` columns cannot be conditioned on. `beats` are motion
+    /// frames.
     pub(crate) fn new(
         features: Array2<f32>,
-        beats: Option<Beats>,
+        beats: Vec<usize>,
         columns: usize,
     ) -> Result<Self, EngineError> {
         let problem = if features.ncols() != columns || features.nrows() < 2 {
@@ -38,37 +36,22 @@ impl Conditioning {
         } else if features.iter().any(|value| !value.is_finite()) {
             "a value is not a finite number".into()
         } else {
-            return Ok(Self {
-                features,
-                tempo_bpm: beats.as_ref().map(|beats| beats.tempo_bpm),
-                // Rows of beats and motion frames have one rate, which manifests are checked for.
-                beats: beats.map_or_else(Vec::new, |beats| beats.frames),
-                seconds: None,
-                warnings: Vec::new(),
-            });
+            return Ok(Self { features, beats, music: None, seconds: None, warnings: Vec::new() });
         };
         Err(EngineError::Option { name: "features", problem })
     }
 
-    /// Tempo and beats for the caller.
-    pub(crate) fn music_info(&self) -> Option<MusicInfo> {
-        let a_second = Rate::Beats.rows_per_second();
-        let beats = self.beats.iter();
-        Some(MusicInfo {
-            tempo_bpm: self.tempo_bpm?,
-            beats_s: beats.map(|&frame| frame as f64 / a_second).collect(),
-        })
-    }
-
-    /// Counts time from the frame `lead` on, which is where the motion begins: the frames before it
-    /// belong to the motion that it continues.
-    pub(crate) fn music_info_from(&self, lead: usize) -> Option<MusicInfo> {
-        let mut info = self.music_info()?;
+    /// Takes what the caller is told of the music, with time from the frame `lead` on, which is where
+    /// the motion begins: the frames before it belong to the motion that it continues.
+    pub(crate) fn take_music_from(&mut self, lead: usize) -> Option<MusicInfo> {
+        let mut info = self.music.take()?;
         let lead_s = lead as f64 / Rate::Beats.rows_per_second();
-        info.beats_s.retain_mut(|beat| {
-            *beat -= lead_s;
-            *beat >= 0.0
-        });
+        for times in [&mut info.beats_s, &mut info.downbeats_s] {
+            times.retain_mut(|time| {
+                *time -= lead_s;
+                *time >= 0.0
+            });
+        }
         Some(info)
     }
 
@@ -93,18 +76,15 @@ mod tests {
     fn rows_that_do_not_fit_the_model_are_refused() {
         let rows = |rows, columns, value| Array2::from_elem((rows, columns), value);
         for wrong in [rows(0, 3, 0.0), rows(1, 3, 0.0), rows(2, 4, 0.0), rows(2, 3, f32::NAN)] {
-            assert!(Conditioning::new(wrong, None, 3).is_err());
+            assert!(Conditioning::new(wrong, Vec::new(), 3).is_err());
         }
-        assert!(Conditioning::new(rows(2, 3, 0.0), None, 3).is_ok());
+        assert!(Conditioning::new(rows(2, 3, 0.0), Vec::new(), 3).is_ok());
     }
 
     #[test]
     fn a_prompt_moves_rows_and_beats_back() {
         let rows = Array2::from_shape_fn((3, 2), |(row, column)| (10 * row + column) as f32);
-        let beats = Beats { tempo_bpm: 90.0, frames: vec![0, 30] };
-        let conditioning = Conditioning::new(rows.clone(), Some(beats), 2).unwrap();
-        let info = conditioning.music_info().unwrap();
-        assert_eq!((info.tempo_bpm, &info.beats_s[..]), (90.0, &[0.0, 0.5][..]));
+        let conditioning = Conditioning::new(rows.clone(), vec![0, 30], 2).unwrap();
         let after = conditioning.after_prompt(8);
         assert_eq!(after.features.nrows(), 4);
         assert_eq!(after.features.row(0), rows.row(0));

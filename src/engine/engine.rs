@@ -121,13 +121,10 @@ impl Engine {
         let scheduled = Arc::new(Queue::new(config.queue));
         threads::start_scheduler(scheduler, Arc::clone(&scheduled))?;
         let features = directory.manifest().features.clone();
-        let preparer = Preparer {
-            classifier: directory.style_classifier()?,
-            frontend: AudioFrontend::new(features, config.audio.clone(), config.effort),
-            directory,
-            rows: config.batch,
-            scheduled,
-        };
+        let frontend = AudioFrontend::new(features, config.audio.clone(), config.effort);
+        frontend.test()?;
+        let classifier = directory.style_classifier()?;
+        let preparer = Preparer { classifier, frontend, directory, rows: config.batch, scheduled };
         let (preparer, audio) = threads::start_frontends(preparer, config.songs, config.queue)?;
         let engine = Self { shared: Arc::new(Shared { preparer, audio, decoding }) };
         engine.warm_up()?;
@@ -147,7 +144,7 @@ impl Engine {
         let conditioning = Conditioning {
             features: Array2::zeros((3, self.manifest().features.columns)),
             beats: vec![4, 12, 20],
-            tempo_bpm: None,
+            music: None,
             seconds: None,
             warnings: Vec::new(),
         };

@@ -3,50 +3,83 @@
 use std::{panic, thread};
 
 use bytes::Bytes;
-use parking_lot::Mutex;
+use ndarray::Array2;
 
 use super::{
     EngineError, Progress, Stage,
     conditioning::Conditioning,
     effort::{DecodeEffort, Effort},
+    pool::Pool,
     progress::spent,
 };
 use crate::{
     CancelToken,
     audio::{self, AudioError, AudioLimits, AudioRange, DecodedAudio},
-    features::{FeatureError, FeatureExtractor, Profile, Rate, with_counts_of},
-    formats::Timings,
-    model::FeatureSpec,
+    features::{
+        BeatFinder, BeatPhase, Beats, FeatureExtractor, Profile, Rate, SongBeats, with_counts,
+    },
+    formats::{MusicInfo, Timings},
+    model::{BeatNetwork, CountSource, FeatureSpec},
 };
 
-/// Audio decoder and feature extractors for one model.
+const NO_BEATS: &str = "no beats were found in the audio: the dance follows none";
+const NO_CLEAR_BEATS: &str = "no clear beats were found in the audio";
+
+/// Audio decoder, feature extractors and trackers of beats for one model.
 #[derive(Debug)]
 pub(crate) struct AudioFrontend {
     limits: AudioLimits,
     effort: DecodeEffort,
     spec: FeatureSpec,
-    conditioning: ExtractorPool,
-    beats: ExtractorPool,
+    extractors: Pool<FeatureExtractor>,
+    /// Extractors of the beats that older models take their counts from.
+    librosa: Pool<FeatureExtractor>,
+    beatnet: Pool<(BeatFinder, BeatNetwork)>,
 }
 
 /// Which part of a song is wanted, and what of it.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Selection {
     pub(crate) range: AudioRange,
-    /// Whether beats are wanted, for the caller or to choose between candidates.
-    pub(crate) beats: bool,
+    /// Whether tempo and beats are wanted.
+    pub(crate) music: bool,
+    /// Whether beats are needed to choose between candidates.
+    pub(crate) is_chosen: bool,
+}
+
+/// Which trackers of beats a request needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Trackers {
+    librosa: bool,
+    beatnet: bool,
+}
+
+/// What was found of a song.
+struct Found {
+    rows: Array2<f32>,
+    librosa: Option<Beats>,
+    beatnet: Option<SongBeats>,
 }
 
 impl AudioFrontend {
     pub(crate) fn new(spec: FeatureSpec, limits: AudioLimits, effort: DecodeEffort) -> Self {
+        let profile = spec.profile;
         Self {
             limits,
             effort,
-            conditioning: ExtractorPool::new(Rate::Conditioning, spec.profile),
-            // Beats for people are those of the current profile, whatever the model's is.
-            beats: ExtractorPool::new(Rate::Beats, Profile::Librosa011),
+            extractors: Pool::new(move || Ok(FeatureExtractor::new(Rate::Conditioning, profile))),
+            librosa: Pool::new(|| Ok(FeatureExtractor::new(Rate::Beats, Profile::Librosa011))),
+            beatnet: Pool::new(|| Ok((BeatFinder::new(), BeatNetwork::open()?))),
             spec,
         }
+    }
+
+    /// Loads the beat network, and runs it.
+    ///
+    /// # Errors
+    /// [`EngineError::Model`].
+    pub(crate) fn test(&self) -> Result<(), EngineError> {
+        self.song_beats(&[0.0; BeatFinder::HZ as usize], &CancelToken::new()).map(drop)
     }
 
     /// Decodes a song and computes its features.
@@ -62,24 +95,41 @@ impl AudioFrontend {
         progress: &dyn Progress,
         timings: &mut Timings,
     ) -> Result<Conditioning, EngineError> {
-        // The model may be conditioned on counts, which are found between beats.
-        let with_beats = selection.beats || !self.spec.count_periods.is_empty();
+        let trackers = self.trackers(selection);
         progress.stage(Stage::Decoding);
         let audio = spent(&mut timings.decode, "decode", || {
-            let rates = [Rate::Conditioning.hz(), Rate::Beats.hz()];
-            let rates = &rates[..1 + usize::from(with_beats)];
-            self.decode(audio, selection.range, rates, cancel)
+            let rates = trackers.rates();
+            self.decode(audio, selection.range, &rates, cancel)
         })?;
         let seconds = audio.duration_s;
         progress.decoded(seconds);
         progress.stage(Stage::Features);
-        let conditioning =
-            spent(&mut timings.features, "features", || self.features(audio.signals, cancel))?;
-        let mut warnings = audio.warnings;
-        if with_beats && conditioning.beats.is_empty() {
-            warnings.push("no beats were found in the audio: the dance follows none".to_owned());
+        let mut conditioning = spent(&mut timings.features, "features", || {
+            let found = self.find(audio.signals, trackers, cancel)?;
+            self.conditioning(found, selection.music)
+        })?;
+        conditioning.warnings = audio.warnings;
+        conditioning.seconds = Some(seconds);
+        let is_told = conditioning.music.as_ref().is_none_or(|music| !music.beats_s.is_empty());
+        let warning = match conditioning.beats.is_empty() {
+            true if trackers.librosa || trackers.beatnet => Some(NO_BEATS),
+            false if !is_told => Some(NO_CLEAR_BEATS),
+            _ => None,
+        };
+        conditioning.warnings.extend(warning.map(str::to_owned));
+        Ok(conditioning)
+    }
+
+    /// A model follows the counts, and is judged by the beats, that it was trained with; people
+    /// are told the better ones. What a dance is like does not depend on what is told.
+    fn trackers(&self, selection: Selection) -> Trackers {
+        let counts = (!self.spec.count_periods.is_empty()).then_some(self.spec.counts);
+        Trackers {
+            librosa: counts == Some(CountSource::Librosa),
+            beatnet: selection.music
+                || counts == Some(CountSource::Beatnet)
+                || counts.is_none() && selection.is_chosen,
         }
-        Ok(Conditioning { warnings, seconds: Some(seconds), ..conditioning })
     }
 
     /// Decodes a song within the processor time for it.
@@ -100,62 +150,112 @@ impl AudioFrontend {
         })
     }
 
-    /// Features, and beats where there is a second signal for them.
-    fn features(
+    /// Features and beats, side by side; the signals are those of [`Trackers::rates`].
+    fn find(
         &self,
         signals: Vec<Vec<f32>>,
+        trackers: Trackers,
         cancel: &CancelToken,
-    ) -> Result<Conditioning, EngineError> {
+    ) -> Result<Found, EngineError> {
         let mut signals = signals.into_iter();
         let slow = signals.next().unwrap_or_default();
-        let extract = || self.conditioning.with(|extractor| extractor.extract_until(&slow, cancel));
-        let Some(fast) = signals.next() else {
-            return Conditioning::new(extract()?, None, self.spec.columns);
+        let mut next = |is_there: bool| is_there.then(|| signals.next().unwrap_or_default());
+        let (fast, middle) = (next(trackers.librosa), next(trackers.beatnet));
+        let extract =
+            || self.extractors.with(|extractor| Ok(extractor.extract_until(&slow, cancel)?));
+        let hear = || middle.as_ref().map(|pcm| self.song_beats(pcm, cancel)).transpose();
+        let track = || {
+            let track = |pcm| self.librosa.with(|tracker| Ok(tracker.beats_until(pcm, cancel)?));
+            fast.map(track).transpose()
         };
-        let track = || self.beats.with(|extractor| extractor.beats_until(fast, cancel));
-        let (rows, beats) = side_by_side(extract, track);
-        let (rows, beats) = (rows?, beats?);
-        let rows = with_counts_of(&beats, rows, &self.spec.count_periods);
-        Conditioning::new(rows, Some(beats), self.spec.columns)
+        let (beatnet, (rows, librosa)) = side_by_side(hear, || side_by_side(extract, track));
+        Ok(Found { rows: rows?, librosa: librosa?, beatnet: beatnet? })
+    }
+
+    fn song_beats(&self, pcm: &[f32], cancel: &CancelToken) -> Result<SongBeats, EngineError> {
+        self.beatnet.with(|(finder, network)| network.beats(finder, pcm, cancel))
+    }
+
+    /// The rows with their counts, and the beats that go with them.
+    fn conditioning(&self, found: Found, music: bool) -> Result<Conditioning, EngineError> {
+        let Found { rows, librosa, beatnet } = found;
+        let counts = match (&librosa, &beatnet) {
+            (Some(beats), _) => BeatPhase::find(beats, rows.view()),
+            (None, Some(song)) => BeatPhase::of(song, rows.view()),
+            (None, None) => None,
+        };
+        let rows = with_counts(rows, counts.as_ref(), 0.0, &self.spec.count_periods);
+        // Rows of librosa's beats and motion frames have one rate, which manifests are checked for.
+        let beats = match (librosa, &beatnet) {
+            (Some(beats), _) => beats.frames,
+            (None, Some(song)) => song.frames(Rate::Beats.rows_per_second()),
+            (None, None) => Vec::new(),
+        };
+        let conditioning = Conditioning::new(rows, beats, self.spec.columns)?;
+        let music = beatnet.filter(|_| music).map(music_info);
+        Ok(Conditioning { music, ..conditioning })
     }
 }
 
-/// Computes `shorter` on a thread of its own and `longer` on this one; both on this one where the
+impl Trackers {
+    /// Sample rates of the signals: for the features, then for each tracker that is needed.
+    fn rates(self) -> Vec<u32> {
+        let librosa = self.librosa.then_some(Rate::Beats.hz());
+        let beatnet = self.beatnet.then_some(BeatFinder::HZ);
+        [Some(Rate::Conditioning.hz()), librosa, beatnet].into_iter().flatten().collect()
+    }
+}
+
+fn music_info(song: SongBeats) -> MusicInfo {
+    MusicInfo {
+        tempo_bpm: song.tempo_bpm,
+        tempo_steady: song.tempo_steady,
+        beats_s: song.beats_s,
+        downbeats_s: song.downbeats_s,
+        metre: song.metre,
+        confidence: song.confidence,
+    }
+}
+
+/// Computes `beside` on a thread of its own and `here` on this one; both on this one where the
 /// system has no more threads. A panic continues here.
-fn side_by_side<A: Send, B>(
-    shorter: impl Fn() -> Result<A, FeatureError> + Sync,
-    longer: impl FnOnce() -> Result<B, FeatureError>,
-) -> (Result<A, FeatureError>, Result<B, FeatureError>) {
+fn side_by_side<A: Send, B>(beside: impl Fn() -> A + Sync, here: impl FnOnce() -> B) -> (A, B) {
     thread::scope(|scope| {
-        let beside = thread::Builder::new().spawn_scoped(scope, &shorter);
-        let longer = longer();
-        let shorter = match beside {
-            Ok(beside) => beside.join().unwrap_or_else(|panicked| panic::resume_unwind(panicked)),
-            Err(_) => shorter(),
+        let thread = thread::Builder::new().spawn_scoped(scope, &beside);
+        let here = here();
+        let beside = match thread {
+            Ok(thread) => thread.join().unwrap_or_else(|panicked| panic::resume_unwind(panicked)),
+            Err(_) => beside(),
         };
-        (shorter, longer)
+        (beside, here)
     })
 }
 
-/// Feature extractors planned once and lent out, one per thread that needs one at a time.
-#[derive(Debug)]
-struct ExtractorPool {
-    rate: Rate,
-    profile: Profile,
-    idle: Mutex<Vec<FeatureExtractor>>,
-}
+#[cfg(test)]
+mod tests {
+    use super::{super::fake::directory, *};
 
-impl ExtractorPool {
-    fn new(rate: Rate, profile: Profile) -> Self {
-        Self { rate, profile, idle: Mutex::new(Vec::new()) }
-    }
-
-    /// Lends an extractor to `work`. One that saw a panic is not put back.
-    fn with<T>(&self, work: impl FnOnce(&mut FeatureExtractor) -> T) -> T {
-        let lent = self.idle.lock().pop();
-        let mut extractor = lent.unwrap_or_else(|| FeatureExtractor::new(self.rate, self.profile));
-        let result = work(&mut extractor);
-        self.idle.lock().push(extractor);
-        result
+    #[test]
+    fn a_model_follows_the_counts_it_was_trained_with() {
+        let (_folder, directory) = directory();
+        let trackers = |counts, count_periods: &[u32], music, is_chosen| {
+            let spec = directory.manifest().features.clone();
+            let spec = FeatureSpec { counts, count_periods: count_periods.to_vec(), ..spec };
+            let frontend =
+                AudioFrontend::new(spec, AudioLimits::default(), DecodeEffort::default());
+            let selection = Selection { range: AudioRange::default(), music, is_chosen };
+            let Trackers { librosa, beatnet } = frontend.trackers(selection);
+            (librosa, beatnet)
+        };
+        use CountSource::{Beatnet, Librosa};
+        assert_eq!(trackers(Librosa, &[], false, false), (false, false));
+        assert_eq!(trackers(Librosa, &[], true, false), (false, true));
+        assert_eq!(trackers(Librosa, &[], false, true), (false, true));
+        // The same dance, whether or not beats are told.
+        assert_eq!(trackers(Librosa, &[4], false, true), (true, false));
+        assert_eq!(trackers(Librosa, &[4], true, true), (true, true));
+        assert_eq!(trackers(Beatnet, &[4], false, false), (false, true));
+        let rates = Trackers { librosa: true, beatnet: true }.rates();
+        assert_eq!(rates, [3_840, 30_720, 22_050]);
     }
 }

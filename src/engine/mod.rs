@@ -22,6 +22,7 @@ mod frontend;
 mod guidance;
 mod observer;
 mod options;
+mod pool;
 mod pose;
 mod prepare;
 mod progress;

@@ -63,7 +63,7 @@ pub struct GenerationOptions {
     pub clean: bool,
     /// Where positions come from; the decoder's own exist at its frame rate and without clean-up.
     pub positions: PositionsSource,
-    /// Whether to find the music's tempo and beats.
+    /// Whether to find the music's tempo, beats and bars.
     pub music: bool,
 }
 

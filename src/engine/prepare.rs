@@ -67,7 +67,8 @@ impl Preparer {
         let lead = lead(&request, manifest);
         let selection = Selection {
             range: from_lead(options.range, lead, manifest.fps),
-            beats: options.music || options.candidates(manifest, self.rows) > 1,
+            music: options.music,
+            is_chosen: options.candidates(manifest, self.rows) > 1,
         };
         let cancel = request.completion.token();
         let timings = &mut request.prologue.timings;
@@ -76,9 +77,7 @@ impl Preparer {
         let frontend = &self.frontend;
         let mut conditioning = frontend.condition(audio, selection, &cancel, progress, timings)?;
         request.prologue.warnings = std::mem::take(&mut conditioning.warnings);
-        if options.music {
-            request.prologue.music = conditioning.music_info_from(lead);
-        }
+        request.prologue.music = conditioning.take_music_from(lead);
         request.prologue.length = conditioning.seconds.map(|seconds| {
             let seconds = seconds - lead as f64 / f64::from(manifest.fps);
             decoded_length(seconds, options.fps, manifest.fps)
@@ -109,7 +108,7 @@ impl Preparer {
         request: AcceptedRequest,
     ) -> Result<(), EngineError> {
         let columns = self.directory.manifest().features.columns;
-        self.schedule_conditioned(Conditioning::new(rows, None, columns)?, request)
+        self.schedule_conditioned(Conditioning::new(rows, Vec::new(), columns)?, request)
     }
 
     /// Schedules a request whose motion is wanted as it is decoded.

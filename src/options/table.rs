@@ -205,7 +205,7 @@ options! {
             "Where positions come from: `fk`, forward kinematics of the rotations that all formats \
              carry, or `decoder`, the decoder's own, at 60 frames a second and without clean-up.";
         music: bool, Accepts::Boolean, "true for json, else false",
-            "Whether to find the music's tempo and beats.";
+            "Whether to find the music's tempo, beats and bars.";
     }
     Output {
         encoding: Encoding, Accepts::Words(&["json", "base64"]), "json",

@@ -18,7 +18,7 @@ use bailando::{
     features::Profile,
     formats::{Codes, Continuation, MusicInfo, PositionsSource, Timings},
     model::{
-        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
+        CountSource, DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, SamplingDefaults,
         SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
     },
     motion::{Animation, FinishOptions, Finished, Finisher, MotionFrame, Positions, Skeleton},
@@ -224,6 +224,7 @@ fn manifest() -> Manifest {
             hop: 512,
             columns: 438,
             count_periods: Vec::new(),
+            counts: CountSource::default(),
         },
         styles: Vec::new(),
         energy: false,
@@ -311,7 +312,14 @@ fn output(options: &GenerationOptions, frames: usize) -> GenerationOutput {
         tail: Some(Continuation::new("0123", before, [0.0; 2], 0.0)),
         codes,
         style: None,
-        music: options.music.then(|| MusicInfo { tempo_bpm: 120.0, beats_s: vec![0.0, 0.5] }),
+        music: options.music.then(|| MusicInfo {
+            tempo_bpm: 120.0,
+            tempo_steady: true,
+            beats_s: vec![0.0, 0.5],
+            downbeats_s: vec![0.0],
+            metre: 4,
+            confidence: 0.9,
+        }),
         timings: Timings {
             queue: Duration::from_micros(100),
             decode: Duration::from_micros(200),

@@ -28,6 +28,17 @@ pub enum FeatureError {
         /// Its value.
         value: f32,
     },
+    /// A beat network did not give probabilities for each row.
+    #[error(
+        "the beat network gave activations of shape {shape:?} for {rows} rows, expected \
+         probabilities of shape ({rows}, 3)"
+    )]
+    Activations {
+        /// Rows that it was given.
+        rows: usize,
+        /// The shape of what it gave.
+        shape: (usize, usize),
+    },
     /// The caller's token was cancelled.
     #[error("the features were cancelled")]
     Cancelled,

@@ -206,6 +206,11 @@ fn check(pcm: &[f32]) -> Result<(), FeatureError> {
     if rows < MIN_ROWS {
         return Err(FeatureError::TooShort { rows, needed: MIN_ROWS });
     }
+    check_samples(pcm)
+}
+
+/// Refuses samples that are no sound.
+pub(crate) fn check_samples(pcm: &[f32]) -> Result<(), FeatureError> {
     let is_sound = |sample: &f32| (-LOUDEST..=LOUDEST).contains(sample);
     match pcm.iter().copied().enumerate().find(|(_, x)| !is_sound(x)) {
         None => Ok(()),

@@ -2,10 +2,11 @@
 //! FEATURES.md, equal to librosa's, and the beats, counts and bars of a song.
 //!
 //! [`FeatureExtractor`] is planned once for a [`Rate`] and a [`Profile`], then turns songs into
-//! matrices of one row per 512 samples. There is one file per stage of FEATURES.md.
+//! matrices of one row per 512 samples. There is one file per stage of FEATURES.md. [`BeatFinder`]
+//! finds beats, bars and metre with a network that its caller runs (BEATS.md).
 //!
 //! ```
-//! use bailando_features::{BeatPhase, FeatureExtractor, Profile, Rate, with_counts_of};
+//! use bailando_features::{BeatPhase, FeatureExtractor, Profile, Rate, with_counts};
 //!
 //! # fn main() -> Result<(), bailando_features::FeatureError> {
 //! // Four seconds of a note that is struck twice a second.
@@ -25,13 +26,15 @@
 //! assert!((beats.tempo_bpm - 120.0).abs() < 3.0);
 //!
 //! // Sine and cosine of the place within a count and within the dancer's eight.
-//! assert!(BeatPhase::find(&beats, rows.view()).is_some());
-//! assert_eq!(with_counts_of(&beats, rows, &[1, 8]).ncols(), 438 + 4);
+//! let counts = BeatPhase::find(&beats, rows.view());
+//! assert!(counts.is_some());
+//! assert_eq!(with_counts(rows, counts.as_ref(), 0.0, &[1, 8]).ncols(), 438 + 4);
 //! # Ok(())
 //! # }
 //! ```
 
 mod beat;
+mod beats;
 mod chain;
 mod chroma;
 mod cqt;
@@ -48,6 +51,7 @@ mod layout;
 mod median;
 mod mel;
 mod mfcc;
+mod novelty;
 mod onset;
 mod padding;
 mod phase;
@@ -59,11 +63,12 @@ mod tuning;
 
 pub use self::{
     beat::Beats,
+    beats::{BeatFinder, SongBeats},
     error::FeatureError,
     extractor::{FeatureExtractor, Stages},
     layout::{
         BEAT_COLUMN, CHROMA_COLUMNS, COLUMNS, DELTA_COLUMNS, HOP, MFCC_COLUMNS, ONSET_COLUMN,
         Profile, Rate, TEMPOGRAM_COLUMNS,
     },
-    phase::{BeatPhase, with_counts, with_counts_of},
+    phase::{BeatPhase, with_counts},
 };

@@ -10,7 +10,9 @@ use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use crate::{
     beat::Beats,
+    beats::{SongBeats, counts::counts_of},
     layout::{CHROMA_COLUMNS, Rate},
+    novelty::novelty,
 };
 
 /// Slowest counts per minute of the octave from it to its double: dancers count neither slower nor
@@ -21,8 +23,8 @@ const BAR: usize = 4;
 const PHRASE: usize = 8;
 /// Fewer beats have no regular distance.
 const MIN_BEATS: usize = 4;
-/// Rows on either side of a count that are compared: about one count at 180 a minute.
-const NOVELTY_ROWS: usize = 3;
+/// What a change of harmony weighs against an active first beat (BEATS, place in the phrase).
+const HARMONY: f64 = 0.5;
 
 /// The counts of a song, and the bars and phrases that they make up.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,9 +58,41 @@ impl BeatPhase {
             // A few beats in one moment: thinned to a single count.
             return None;
         }
-        let chroma = rows.slice_axis(Axis(1), Slice::from(CHROMA_COLUMNS));
-        let first = first_count(&counts_s, chroma);
+        let first = first_count(&changes(&counts_s, rows));
         Some(Self { counts_s, period_s, first })
+    }
+
+    /// Makes counts of a song's beats. Bars and phrases begin where first beats are most active and
+    /// the harmony of `rows` (`[rows, 438]` at [`Rate::Conditioning`]) changes most; in three-four
+    /// time a phrase begins with the first bar. None without beats.
+    #[must_use]
+    pub fn of(song: &SongBeats, rows: ArrayView2<'_, f32>) -> Option<Self> {
+        let counts_s = counts_of(&song.beats_s);
+        if song.metre == 3 {
+            let start = song.downbeats_s.first()?;
+            let first = counts_s.partition_point(|count| count < start) % PHRASE;
+            return Self::from_counts(counts_s, (PHRASE - first) % PHRASE);
+        }
+        let mut active = [0.0; PHRASE];
+        for (place, &count) in counts_s.iter().enumerate() {
+            active[place % PHRASE] += song.downbeat_near(count);
+        }
+        let harmony = changes(&counts_s, rows);
+        let [active_sum, harmony_sum] = [active, harmony].map(|sums| sums.iter().sum::<f64>());
+        let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
+        let evidence = std::array::from_fn(|place| {
+            share(active[place], active_sum) + HARMONY * share(harmony[place], harmony_sum)
+        });
+        Self::from_counts(counts_s, first_count(&evidence))
+    }
+
+    /// Takes counts that are known: their seconds, ascending, and the place of the first within its
+    /// phrase of eight. None below two counts, or where they do not ascend.
+    #[must_use]
+    pub fn from_counts(counts_s: Vec<f64>, first: usize) -> Option<Self> {
+        let ascends = counts_s.windows(2).all(|pair| pair[0] < pair[1]);
+        let period_s = median_distance(&counts_s);
+        (ascends && period_s > 0.0).then_some(Self { counts_s, period_s, first: first % PHRASE })
     }
 
     /// Returns the counts since the start of a phrase before the song, at `seconds` from the song's
@@ -94,17 +128,6 @@ impl BeatPhase {
         }
         columns
     }
-}
-
-/// Appends the columns of `periods` to a song's feature rows `[rows, 438]`; its `beats` were
-/// tracked at [`Rate::Beats`].
-#[must_use]
-pub fn with_counts_of(beats: &Beats, rows: Array2<f32>, periods: &[u32]) -> Array2<f32> {
-    if periods.is_empty() {
-        return rows;
-    }
-    let counts = BeatPhase::find(beats, rows.view());
-    with_counts(rows, counts.as_ref(), 0.0, periods)
 }
 
 /// Appends the columns of `periods` to feature rows `[rows, 438]` that begin `start_s` after the
@@ -154,40 +177,26 @@ fn in_octave(beats_s: &[f64], beat_s: f64) -> Vec<f64> {
     counts
 }
 
-/// Place of the first count within its phrase: the bar starts where changes of harmony add up to
-/// most, the phrase at the stronger of its two bars.
-fn first_count(counts_s: &[f64], chroma: ArrayView2<'_, f32>) -> usize {
+/// Sums of the changes of harmony at the counts of each place in a phrase.
+fn changes(counts_s: &[f64], rows: ArrayView2<'_, f32>) -> [f64; PHRASE] {
+    let chroma = rows.slice_axis(Axis(1), Slice::from(CHROMA_COLUMNS));
     let mut changes = [0.0; PHRASE];
     for (place, &count) in counts_s.iter().enumerate() {
         changes[place % PHRASE] += novelty(chroma, count);
     }
-    let bar = |place: usize| changes[place] + changes[place + BAR];
+    changes
+}
+
+/// Place of the first count within its phrase: the bar starts where the evidence of both its counts
+/// in a phrase adds up to most, the phrase at the stronger of its two bars.
+fn first_count(evidence: &[f64; PHRASE]) -> usize {
+    let bar = |place: usize| evidence[place] + evidence[place + BAR];
     let start = (0..BAR).max_by(|&a, &b| bar(a).total_cmp(&bar(b)));
     let mut start = start.unwrap_or(0);
-    if changes[start] < changes[start + BAR] {
+    if evidence[start] < evidence[start + BAR] {
         start += BAR;
     }
     (PHRASE - start) % PHRASE
-}
-
-/// Change of harmony at a moment: 1 less the cosine of the mean chroma on both sides.
-fn novelty(chroma: ArrayView2<'_, f32>, seconds: f64) -> f64 {
-    let row = (seconds * Rate::Conditioning.rows_per_second()).round();
-    let row = row.max(0.0) as usize;
-    let sum = |from: usize, to: usize| {
-        let mut sum = [0.0_f64; 12];
-        for row in from..to.min(chroma.nrows()) {
-            for (sum, &value) in sum.iter_mut().zip(chroma.row(row)) {
-                *sum += f64::from(value);
-            }
-        }
-        sum
-    };
-    let before = sum(row.saturating_sub(NOVELTY_ROWS), row);
-    let after = sum(row, row + NOVELTY_ROWS);
-    let dot = |a: &[f64; 12], b: &[f64; 12]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let lengths = (dot(&before, &before) * dot(&after, &after)).sqrt();
-    if lengths > 0.0 { 1.0 - dot(&before, &after) / lengths } else { 0.0 }
 }
 
 #[cfg(test)]
@@ -261,6 +270,28 @@ mod tests {
             (later[[row, column]] - columns[[row + 3, column]]).abs()
         };
         assert!((0..10).all(|row| (0..4).all(|column| difference((row, column)) < 1e-4)));
+    }
+
+    #[test]
+    fn known_counts_are_taken_as_they_are() {
+        let counts_s: Vec<f64> = (0..20).map(|count| 0.25 + f64::from(count) * 0.4).collect();
+        let phase = BeatPhase::from_counts(counts_s, 12).unwrap();
+        assert!((phase.at(0.25) - 4.0).abs() < 1e-9 && (phase.at(2.05) - 8.5).abs() < 1e-9);
+        for wrong in [vec![], vec![1.0], vec![1.0, 1.0], vec![2.0, 1.0, 3.0]] {
+            assert_eq!(BeatPhase::from_counts(wrong, 0), None);
+        }
+    }
+
+    #[test]
+    fn bars_of_three_begin_with_the_first_downbeat() {
+        let rows = rows(0.5, 1.0);
+        let beats_s: Vec<f64> = (0..30).map(|beat| f64::from(beat) * 0.6).collect();
+        let downbeats_s = beats_s.iter().skip(1).step_by(3).copied().collect();
+        let song = SongBeats { beats_s, downbeats_s, metre: 3, ..SongBeats::default() };
+        let phase = BeatPhase::of(&song, rows.view()).unwrap();
+        assert!(distance(phase.at(0.6), 8.0) < 1e-9);
+        assert!((phase.at(2.4) - phase.at(0.6) - 6.0).abs() < 1e-9);
+        assert_eq!(BeatPhase::of(&SongBeats::default(), rows.view()), None);
     }
 
     #[test]

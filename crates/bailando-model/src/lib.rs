@@ -10,10 +10,11 @@
 //! ```
 //!
 //! [`ModelDirectory`] then opens the graphs: [`Gpt`] with its [`KvCache`], [`Decoder`] and
-//! [`Encoder`].
+//! [`Encoder`]. [`BeatNetwork`] belongs to no directory: it is part of the program.
 
 #[cfg(test)]
 mod batch_tests;
+mod beats;
 mod cache;
 mod directory;
 mod embedded;
@@ -28,12 +29,13 @@ mod style_classifier;
 mod vocabulary;
 mod vqvae;
 
+pub use beats::{BeatActivations, BeatNetwork};
 pub use cache::KvCache;
 pub use directory::{ModelDirectory, file_sha256};
 pub use error::ModelError;
 pub use gpt::{Gpt, Logits, NextStep, Steps};
 pub use manifest::{
-    DecoderSpec, FORMAT_VERSION, FeatureSpec, FileEntry, GptSpec, MAX_CANDIDATES,
+    CountSource, DecoderSpec, FORMAT_VERSION, FeatureSpec, FileEntry, GptSpec, MAX_CANDIDATES,
     MAX_COUNT_PERIODS, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, SamplingDefaults, WeightStorage,
     WindowKind,
 };

@@ -83,6 +83,27 @@ pub struct FeatureSpec {
     /// ([`with_counts`](bailando_features::with_counts)); none: as published.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub count_periods: Vec<u32>,
+    /// The tracker whose counts these are; absent: that of the first models, `librosa`.
+    #[serde(default, skip_serializing_if = "CountSource::is_librosa")]
+    pub counts: CountSource,
+}
+
+/// A tracker of counts. A model follows those that it was trained with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CountSource {
+    /// librosa's beats (column 53 at 30,720 Hz), bars by changes of harmony: about 30 ms late.
+    #[default]
+    Librosa,
+    /// The beats of [`BeatNetwork`](super::BeatNetwork), bars by its first beats and harmony.
+    Beatnet,
+}
+
+impl CountSource {
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+    fn is_librosa(&self) -> bool {
+        *self == Self::Librosa
+    }
 }
 
 /// Sizes of the motion GPT.

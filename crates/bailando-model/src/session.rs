@@ -5,7 +5,7 @@ use std::{fmt, path::Path};
 use ndarray::{Array3, ArrayView, Dimension, Ix3};
 use ort::{
     ep,
-    session::{Session, SessionInputValue, SessionOutputs},
+    session::{Session, SessionInputValue, SessionOutputs, builder::SessionBuilder},
     value::{DynValue, Tensor},
 };
 
@@ -31,23 +31,16 @@ impl Graph {
         keeps_memory: bool,
     ) -> Result<Self, ModelError> {
         embedded::check(path)?;
-        let environment = runtime::environment()?;
-        let build = || -> ort::Result<Session> {
-            Session::builder(environment)?
-                .with_intra_threads(threads)?
-                .with_inter_threads(1)?
-                .with_memory_pattern(keeps_memory)?
-                .with_intra_op_spinning(false)?
-                // Without VNNI, sums of unsigned times signed bytes saturate: unsigned ones do not.
-                .with_config_entry("session.x64quantprecision", "1")?
-                .with_execution_providers([ep::CPU::default()
-                    .with_arena_allocator(keeps_memory)
-                    .build()])?
-                .commit_from_file(path)
-        };
-        let session = build()
-            .map_err(|e| ModelError::Graph { path: path.to_path_buf(), problem: one_line(&e) })?;
-        Ok(Self { name, session })
+        let failed = |problem| ModelError::Graph { path: path.to_path_buf(), problem };
+        let session = builder(threads, keeps_memory)?.commit_from_file(path);
+        Ok(Self { name, session: session.map_err(|e| failed(one_line(&e)))? })
+    }
+
+    /// Loads a graph that is part of the program.
+    pub(super) fn built_in(name: &'static str, bytes: &'static [u8]) -> Result<Self, ModelError> {
+        let failed = |problem| ModelError::Graph { path: name.into(), problem };
+        let session = builder(1, true)?.commit_from_memory(bytes);
+        Ok(Self { name, session: session.map_err(|e| failed(one_line(&e)))? })
     }
 
     /// Checks that the graph has exactly the named inputs.
@@ -80,6 +73,24 @@ impl Graph {
             .map_err(|e| ModelError::Run { graph, problem: one_line(&e) })?;
         read(&mut outputs)
     }
+}
+
+/// The settings of all sessions.
+fn builder(threads: usize, keeps_memory: bool) -> Result<SessionBuilder, ModelError> {
+    let environment = runtime::environment()?;
+    let build = || -> ort::Result<SessionBuilder> {
+        Ok(Session::builder(environment)?
+            .with_intra_threads(threads)?
+            .with_inter_threads(1)?
+            .with_memory_pattern(keeps_memory)?
+            .with_intra_op_spinning(false)?
+            // Without VNNI, sums of unsigned times signed bytes saturate: unsigned ones do not.
+            .with_config_entry("session.x64quantprecision", "1")?
+            .with_execution_providers([ep::CPU::default()
+                .with_arena_allocator(keeps_memory)
+                .build()])?)
+    };
+    build().map_err(|e| ModelError::Runtime(one_line(&e)))
 }
 
 /// A tensor of 64-bit integers, `[rows, n]`.

@@ -115,7 +115,7 @@ impl Harness {
                 _ => (row * 31 + column) as f32,
             }),
             beats: asked.beats,
-            tempo_bpm: None,
+            music: None,
             seconds: None,
             warnings: Vec::new(),
         };

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use bailando::{
     features::{HOP, Profile, Rate},
     model::{
-        DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, MannerSpec, SamplingDefaults,
-        StyleClassifier, SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
+        CountSource, DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, MannerSpec,
+        SamplingDefaults, StyleClassifier, SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
     },
     motion::MotionFrame,
 };
@@ -85,6 +85,7 @@ pub(super) fn manifest(
             // Fewer columns than manners are refused with what the manifest says of features.
             columns: gpt.columns().saturating_sub(manners.columns()),
             count_periods: description.count_periods.clone(),
+            counts: CountSource::default(),
         },
         styles: styles.clone(),
         energy: *energy,

@@ -1,7 +1,12 @@
 //! The model crate as others use it: golden values, and directories that are not what they say.
 
-#![allow(clippy::unwrap_used, reason = "tests stop where something is not as it should be")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "tests stop where something is not as it should be, and report what they measured"
+)]
 
+mod beats;
 mod decoder;
 mod directory;
 mod gpt;
