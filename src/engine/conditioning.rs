@@ -3,7 +3,7 @@
 use ndarray::{Array2, Axis, Slice, concatenate};
 
 use super::EngineError;
-use crate::formats::MusicInfo;
+use crate::{features::Rate, formats::MusicInfo};
 
 /// Codes of an earlier motion that are given as the first ones of a motion that continues it.
 pub(super) const PROMPT_CODES: usize = 1;
