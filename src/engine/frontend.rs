@@ -79,7 +79,8 @@ impl AudioFrontend {
     /// # Errors
     /// [`EngineError::Model`].
     pub(crate) fn test(&self) -> Result<(), EngineError> {
-        self.song_beats(&[0.0; BeatFinder::HZ as usize], &CancelToken::new()).map(drop)
+        let silence = vec![0.0; BeatFinder::HZ as usize];
+        self.song_beats(&silence, &CancelToken::new()).map(drop)
     }
 
     /// Decodes a song and computes its features.
