@@ -101,9 +101,9 @@ pub(crate) async fn status(
 
 /// Gives a job's dance, in any format.
 ///
-/// The options that say how a dance is written may be given again: format, include, encoding,
-/// bvh_unit. Without `format` the Accept header chooses; where it has no preference, the dance
-/// comes as it was ordered. A job that failed is answered as `POST /generate` would have been.
+/// The options that say how a dance is written may be given again. Without `format` the Accept
+/// header chooses; where it has no preference, the dance comes as it was ordered. A job that failed
+/// is answered as `POST /generate` would have been.
 #[utoipa::path(
     get,
     path = "/jobs/{id}/result",

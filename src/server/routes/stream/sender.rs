@@ -67,7 +67,7 @@ impl Sender {
     ) -> Result<Self, ServerError> {
         let Opened { order, opening, events, room } = opened;
         let writer = Writer { lines: order.shape.lines };
-        let json = order.options.json();
+        let json = order.options.writing().json;
         let start = start_event(&start_of(&opening), &json)?;
         Ok(Self {
             writer,
