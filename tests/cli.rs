@@ -123,7 +123,7 @@ fn a_bench_measures_every_part() {
 #[test]
 fn wrong_use_exits_with_2_and_failure_with_1() {
     let folder = folder();
-    let [json, glb] = ["dance.json", "dance.glb"].map(|name| path(&folder, name));
+    let [json, movie] = ["dance.json", "dance.mp4"].map(|name| path(&folder, name));
     let lost = path(&folder, "no/such/folder/dance.json");
     for arguments in [
         "codebook",
@@ -138,7 +138,7 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
         "generate --features f.npy --codes-out c.npy --fps 30",
         "dance",
         &format!("generate {SONG}"),
-        &format!("generate {SONG} -o {glb}"),
+        &format!("generate {SONG} -o {movie}"),
         &format!("generate {SONG} -o {json} --fps 25"),
         &format!("generate {SONG} {SONG} -o {json}"),
     ] {
