@@ -97,7 +97,7 @@ onPage(
       while (player.tick(performance.now()) < 8) await new Promise(requestAnimationFrame);
       player.pause();
       return found
-        .slice(5)
+        .slice(1)
         .map(Math.abs)
         .sort((a, b) => a - b);
     });
@@ -105,7 +105,7 @@ onPage(
     context.diagnostic(
       `${errors.length} pictures: median ${at(0.5)} ms, p95 ${at(0.95)} ms, ` + `most ${at(1)} ms`,
     );
-    assert.ok(Number(at(0.95)) <= 30, at(0.95));
+    assert.ok(errors.length >= 4 && Number(at(0.95)) <= 30, at(0.95));
   },
 );
 
@@ -131,18 +131,15 @@ onPage('playback by keyboard', {}, async (page) => {
   assert.ok(await page.evaluate(() => window.bailando.player.element.preservesPitch));
   await page.keyboard.press(' ');
   const seen = [];
-  const until = Date.now() + 4500;
-  while (Date.now() < until) {
+  const around = () => seen.some((time, i) => i > 0 && time < seen[i - 1] - 0.3);
+  const until = Date.now() + 30_000;
+  while (Date.now() < until && !around()) {
     seen.push((await state(page)).time);
     await page.waitForTimeout(50);
   }
+  assert.ok(around(), String(seen));
   assert.ok((await state(page)).playing);
-  assert.ok(Math.min(...seen) >= from - 0.05 && Math.max(...seen) <= to + 0.1, String(seen));
-  // It came around.
-  assert.ok(
-    seen.some((time, i) => i > 0 && time < seen[i - 1] - 0.3),
-    String(seen),
-  );
+  assert.ok(Math.min(...seen) >= from - 0.05 && Math.max(...seen) <= to + 0.3, String(seen));
   await page.keyboard.press(' ');
   const before = await hips(page);
   await page.keyboard.press('m');
@@ -164,25 +161,23 @@ onPage(
     await upload(page, 'clicks.wav', clicks(3));
     await complete(page);
     await pause(page);
-    const played = (loop) =>
-      page.evaluate(async (range) => {
+    const play = (loop) =>
+      page.evaluate((range) => {
         const { player } = window.bailando;
         player.loop = range;
         player.seek(2.6);
-        await player.play();
-        const seen = [];
-        const until = performance.now() + 1500;
-        while (performance.now() < until) {
-          seen.push(player.tick(performance.now()));
-          await new Promise(requestAnimationFrame);
-        }
-        return { playing: player.playing, first: seen[0], least: Math.min(...seen.slice(5)) };
+        return player.play();
       }, loop);
-    const looped = await played([2, 3.2]);
-    assert.ok(looped.playing && looped.least >= 1.9 && looped.least < 2.5, JSON.stringify(looped));
+    await play([2, 3.2]);
+    await page.waitForFunction(() => {
+      const { player } = window.bailando;
+      return player.playing && player.tick(performance.now()) < 2.5;
+    });
+    assert.ok((await state(page)).time >= 1.9);
     await pause(page);
-    const ended = await played(null);
-    assert.ok(!ended.playing && ended.least > 2.5, JSON.stringify(ended));
+    await play(null);
+    await page.waitForFunction(() => !window.bailando.player.playing);
+    assert.ok((await state(page)).time > 2.5);
     await page.click('#play');
     await page.waitForFunction(() => {
       const time = window.bailando.player.tick(performance.now());

@@ -96,7 +96,8 @@ export class Cast {
     place: number,
   ): Promise<Figure> {
     if (typeof source === 'string') {
-      return new Mannequin(skeleton, source, SKIN, ACCENTS[place % ACCENTS.length]);
+      const detail = this.stage.software ? 'coarse' : 'fine';
+      return new Mannequin(skeleton, source, detail, SKIN, ACCENTS[place % ACCENTS.length]);
     }
     // Loaded on demand: most visitors bring no character.
     const { Avatar } = await import('./scene/avatar');

@@ -38,7 +38,8 @@ const ASSETS: &[Asset] = assets! {
     "viewer/licences.txt": "text/plain; charset=utf-8",
 };
 
-/// Hashes of the built files, which serve as their ETags.
+/// Hashes of the built files, which serve as their ETags: weak ones, for bytes are compressed on the
+/// way.
 const BUILD: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/web/dist/build.json"));
 
 /// Scripts, styles and requests of this host only, none of them inline. `blob:` and `data:` are the
@@ -67,9 +68,8 @@ fn answer(path: &str, request: &HeaderMap) -> Result<Response, ServerError> {
         asset.ok_or_else(|| ServerError::NotFound { path: shorten(&format!("/{path}")) })?;
     let etag = etag(asset.path)?;
     let known = request.get_all(header::IF_NONE_MATCH).iter().any(|tags| {
-        tags.to_str().is_ok_and(|tags| {
-            tags.split(',').any(|tag| tag.trim().trim_start_matches("W/") == etag || tag == "*")
-        })
+        tags.to_str()
+            .is_ok_and(|tags| tags.split(',').any(|tag| tag.trim() == etag || tag.trim() == "*"))
     });
     let headers = head(asset.content_type, &etag)?;
     Ok(match known {
@@ -85,7 +85,7 @@ fn etag(path: &str) -> Result<String, ServerError> {
         serde_json::from_str(BUILD).map_err(|error| ServerError::Internal(error.to_string()))?;
     let hash = build["files"][path].as_str();
     let hash = hash.ok_or_else(|| ServerError::Internal(format!("{path} is not in the build")))?;
-    Ok(format!("\"{hash}\""))
+    Ok(format!("W/\"{hash}\""))
 }
 
 fn head(content_type: &'static str, etag: &str) -> Result<HeaderMap, ServerError> {

@@ -16,10 +16,13 @@ import { bodyDistance, partDistance } from './distance';
 import type { Figure } from './figure';
 import { mesh } from './surface';
 
-/** Edge of the cells that the body is meshed with, in metres. */
-const CELL = 0.017;
+/** Edge of the cells that the body is meshed with, in metres: fine and coarse. */
+const CELLS = { fine: 0.017, coarse: 0.032 };
 /** How far bones share the skin around a joint, in metres. */
 const SHARE = 0.014;
+
+/** How finely a body is meshed. */
+export type Detail = keyof typeof CELLS;
 
 /** Geometry of each build on each skeleton; there are few, for models share a skeleton. */
 const shapes = new Map<string, BufferGeometry>();
@@ -32,14 +35,14 @@ export class Mannequin implements Figure {
   private readonly geometry: BufferGeometry;
   private readonly material: MeshStandardMaterial;
 
-  constructor(skeleton: Skeleton, build: BuildName, skin: Color, accent: Color) {
+  constructor(skeleton: Skeleton, build: BuildName, detail: Detail, skin: Color, accent: Color) {
     this.names = skeleton.joints;
     this.bones = skeleton.joints.map(() => new Bone());
     skeleton.offsets.forEach((offset, joint) => {
       if (joint > 0) this.bones[joint].position.fromArray(offset);
       this.bones[skeleton.parents[joint]]?.add(this.bones[joint]);
     });
-    this.geometry = shape(skeleton, build).clone();
+    this.geometry = shape(skeleton, build, detail).clone();
     this.material = materialOf(skin, accent);
     this.object = new SkinnedMesh(this.geometry, this.material);
     this.object.add(this.bones[0]);
@@ -73,17 +76,18 @@ export class Mannequin implements Figure {
   }
 }
 
-function shape(skeleton: Skeleton, build: BuildName): BufferGeometry {
-  const key = `${build} ${skeleton.joints} ${skeleton.rest}`;
-  const known = shapes.get(key) ?? geometryOf(bodyOf(skeleton, BUILDS[build]), skeleton);
+function shape(skeleton: Skeleton, build: BuildName, detail: Detail): BufferGeometry {
+  const key = `${build} ${detail} ${skeleton.joints} ${skeleton.rest}`;
+  const known =
+    shapes.get(key) ?? geometryOf(bodyOf(skeleton, BUILDS[build]), skeleton, CELLS[detail]);
   shapes.set(key, known);
   return known;
 }
 
-function geometryOf(body: Body, skeleton: Skeleton): BufferGeometry {
+function geometryOf(body: Body, skeleton: Skeleton, cell: number): BufferGeometry {
   const low = [0, 1, 2].map((axis) => Math.min(...skeleton.rest.map((p) => p[axis])) - 0.26);
   const high = [0, 1, 2].map((axis) => Math.max(...skeleton.rest.map((p) => p[axis])) + 0.26);
-  const surface = mesh((x, y, z) => bodyDistance(body, x, y, z), low, high, CELL);
+  const surface = mesh((x, y, z) => bodyDistance(body, x, y, z), low, high, cell);
   const geometry = new BufferGeometry();
   geometry.setAttribute('position', new BufferAttribute(surface.positions, 3));
   geometry.setAttribute('normal', new BufferAttribute(surface.normals, 3));

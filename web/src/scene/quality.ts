@@ -7,14 +7,27 @@ const FEWEST = 3;
 /** A picture that takes longer is too slow, in milliseconds. */
 const SLOW = 24;
 
+/** Whether the pictures are drawn by the processor: then every pixel and every vertex counts. */
+export function drawnInSoftware(): boolean {
+  const context = document.createElement('canvas').getContext('webgl2');
+  const names = context?.getExtension('WEBGL_debug_renderer_info');
+  const name = names ? String(context?.getParameter(names.UNMASKED_RENDERER_WEBGL)) : '';
+  context?.getExtension('WEBGL_lose_context')?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
 /** Lowers the resolution on machines that cannot draw 60 pictures a second. */
 export class Quality {
   private step = 0;
   private sum = 0;
   private count = 0;
 
-  constructor(private readonly ratio: number) {
+  constructor(
+    private readonly ratio: number,
+    software: boolean,
+  ) {
     while (this.step < STEPS.length - 1 && STEPS[this.step] > ratio) this.step++;
+    if (software) this.step = STEPS.length - 1;
   }
 
   get pixelRatio(): number {

@@ -9,7 +9,7 @@ import {
 import { ContactShadow } from './contact';
 import type { Figure } from './figure';
 import { Floor } from './floor';
-import { Quality } from './quality';
+import { drawnInSoftware, Quality } from './quality';
 import { View } from './view';
 
 /** Colours and lights of the light and the dark page. */
@@ -31,7 +31,9 @@ export class Stage {
   private readonly sky = new HemisphereLight('#ffffff', '#b9b2a6', 1);
   private readonly key = new DirectionalLight('#fff4e6', 2);
   private readonly rim = new DirectionalLight('#bcd3ff', 0.9);
-  private readonly quality = new Quality(devicePixelRatio);
+  /** Whether there is no graphics card: figures are coarser then. */
+  readonly software = drawnInSoftware();
+  private readonly quality = new Quality(devicePixelRatio, this.software);
   private readonly shadows = new Map<Figure, ContactShadow>();
   private readonly centre = new Vector3();
   private readonly at = new Vector3();
@@ -41,7 +43,7 @@ export class Stage {
   private last = 0;
 
   constructor(private readonly canvas: HTMLCanvasElement) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.renderer = new WebGLRenderer({ canvas, antialias: !this.software, alpha: true });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
     this.view = new View(canvas, () => this.invalidate());
