@@ -1,7 +1,7 @@
 //! Writes a motion that was kept as JSON (with `include=rotations`) in another format:
 //! `cargo run -p bailando-formats --example convert -- dance.json dance.glb [mixamo]`.
 
-use std::{error::Error, time::Instant};
+use std::{error::Error, io::Write, time::Instant};
 
 use bailando_formats::{
     Codes, GeneratedMotion, OutputFormat, PositionsSource, TargetSkeleton, Timings, WriteOptions,
@@ -39,8 +39,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let options = WriteOptions { skeleton, ..WriteOptions::default() };
     let file = format.write(&motion, &options)?;
     let taken = started.elapsed();
-    eprintln!("{to}: {} bytes in {:.1} ms", file.len(), taken.as_secs_f64() * 1e3);
-    Ok(std::fs::write(to, file)?)
+    let (bytes, milliseconds) = (file.len(), taken.as_secs_f64() * 1e3);
+    std::fs::write(to, file)?;
+    Ok(writeln!(std::io::stderr(), "{to}: {bytes} bytes in {milliseconds:.1} ms")?)
 }
 
 fn motion(kept: Kept) -> Result<GeneratedMotion, Box<dyn Error>> {
