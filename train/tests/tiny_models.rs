@@ -105,8 +105,9 @@ fn assert_same_files(found: &Path, expected: &Path, what: &str) {
 
 #[test]
 fn the_tiny_models_are_what_the_trainer_writes() {
-    let models: [(PathBuf, fn(&Path)); 3] = [
-        (tiny(), write_tiny),
+    type Write = fn(&Path);
+    let models = [
+        (tiny(), write_tiny as Write),
         (tiny_dancer(), write_tiny_dancer),
         (tiny_styles(), write_tiny_styles),
     ];

@@ -163,7 +163,7 @@ mod tests {
         let still =
             MotionPiece::from_positions(Positions::zeros((110, JOINTS, 3)), MotionFrame::World);
         let damaged = PieceFacts {
-            marks: Marks { damaged: vec![0..20], ..Marks::default() },
+            marks: Marks { damaged: std::iter::once(0..20).collect(), ..Marks::default() },
             ..PieceFacts::default()
         };
         let pieces = [piece(110, damaged), still.unwrap()];

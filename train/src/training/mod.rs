@@ -18,6 +18,7 @@ mod device;
 mod energy;
 mod error;
 mod export;
+mod feet;
 mod files;
 mod frozen;
 mod generate;

@@ -7,7 +7,7 @@ use bailando::motion::{
 };
 use ndarray::Array2;
 
-use super::{contact::contacts, songs::SongRows};
+use super::{feet::contacts, songs::SongRows};
 use crate::data::{FPS, Marks, Motion, common_frames, mirrored_column};
 
 /// A motion and the songs that go with it.

@@ -193,7 +193,7 @@ fn fit(styles: &[String], examples: &[Example]) -> StyleClassifier {
     let mut ahead = weights.clone();
     for number in 0..STEPS {
         let errors = softmax(inputs.dot(&ahead)) - &targets;
-        let errors = errors * &shares.view().insert_axis(Axis(1));
+        let errors = errors * shares.view().insert_axis(Axis(1));
         let mut gradient = inputs.t().dot(&errors);
         gradient.scaled_add(DECAY, &ahead);
         let next = &ahead - &(gradient * step);
