@@ -28,8 +28,10 @@ versions_agree() {
 
 # Readable by all, whatever the umask of the checkout.
 copy_model() {
-    mkdir -p "$1/models"
+    mkdir -p "$1/models/beats"
     cp -R models/default "$1/models/"
+    # The beat network itself is part of the program.
+    cp models/beats/LICENCE.md models/beats/manifest.json "$1/models/beats/"
     chmod -R a+rX "$1"
 }
 

@@ -11,7 +11,7 @@ use crate::{codes::Codes, continuation::Continuation, error::FormatError};
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema), schema(as = Music))]
 pub struct MusicInfo {
-    /// Beats per minute, of `beats_s`; of a tempo that changes, the median.
+    /// Beats per minute, of `beats_s`; of a tempo that changes, of the distances near their median.
     pub tempo_bpm: f64,
     /// Whether the tempo of every 16 beats is within 3 % of the whole song's.
     pub tempo_steady: bool,

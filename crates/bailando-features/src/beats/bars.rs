@@ -1,12 +1,14 @@
 //! Numbers of beats within the bar where the network tells none: by loudness.
 //!
-//! A click of a metronome is a first beat to the network, whichever it is. Music is not: its first
-//! beats are at least 0.1 more active as such than the others.
+//! A click of a metronome is a first beat to the network, whichever it is: at 0.86 and more, while
+//! the other beats of music are below 0.6 as such, and its first beats at least 0.1 above them.
 
 use super::hmm::{Activation, Beat};
 
 /// Difference of the activations of first and other beats below which the network knows no bars.
 const TOLD: f64 = 0.06;
+/// Activation of the other beats as first ones from which on all seem to be.
+const ALL: f64 = 0.7;
 /// Share of the accents' variance that bars of three explain, from which on they are believed.
 const EXPLAINED: f64 = 0.15;
 /// Frames around a beat whose rises are its accent.
@@ -22,7 +24,8 @@ pub(super) fn are_told(beats: &[Beat], activations: &[Activation]) -> bool {
         });
         sum / f64::from(count.max(1))
     };
-    mean(true) - mean(false) >= TOLD
+    let others = mean(false);
+    others < ALL && mean(true) - others >= TOLD
 }
 
 /// Numbers the beats by their accents, `rises` being the rise of all bands in each frame; gives the
@@ -102,5 +105,10 @@ mod tests {
         };
         assert!(are_told(&beats, &active(0.5)));
         assert!(!are_told(&beats, &active(0.33)));
+        let click = Activation { beat: 0.1, downbeat: 0.85 };
+        let mut clicks = vec![click; 12];
+        clicks[0].downbeat = 1.0;
+        clicks[3].downbeat = 1.0;
+        assert!(!are_told(&beats, &clicks));
     }
 }

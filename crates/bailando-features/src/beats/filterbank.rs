@@ -72,7 +72,7 @@ mod tests {
         let mut bands = [0.0; BANDS];
         bank.apply(&[2.0; BINS], &mut bands);
         assert!(bands.iter().all(|band| (band - 2.0).abs() < 1e-6));
-        // Band 131 rises over bins 619..637 and falls to 655.
+        // Band 132 rises over bins 619..637 and falls to 655.
         let at = |bin: usize| {
             let mut magnitudes = [0.0; BINS];
             magnitudes[bin] = 18.0;
@@ -80,9 +80,9 @@ mod tests {
             bank.apply(&magnitudes, &mut bands);
             bands
         };
-        assert_eq!(at(619)[131], 0.0);
-        assert!((at(637)[131] - 1.0).abs() < 1e-6 && at(637)[132] == 0.0);
-        assert!((at(646)[131] - 0.5).abs() < 1e-6);
+        assert_eq!(at(619)[132], 0.0);
+        assert!((at(637)[132] - 1.0).abs() < 1e-6 && at(637)[133] == 0.0);
+        assert!((at(646)[132] - 0.5).abs() < 1e-6);
         assert_eq!(at(1), [0.0; BANDS]);
     }
 }

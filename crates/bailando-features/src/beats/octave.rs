@@ -1,4 +1,4 @@
-//! Beats at the rate that sounds: the decoder's tempi are limited, and steady ones are cheap for it.
+//! Beats at the rate that sounds: the decoder has a range of tempi, and even ones cost it little.
 
 use super::hmm::{Activation, Beat};
 
@@ -7,8 +7,6 @@ const SILENT_SHARE: f32 = 0.2;
 const SOUNDING: f32 = 0.5;
 /// Share of the activation on beats at which the middles between them are beats as well.
 const EQUAL_SHARE: f32 = 0.8;
-/// Beats on either side that are compared with one.
-const AROUND: usize = 4;
 /// Frames on either side of a middle in which its beat is looked for.
 const REACH: usize = 1;
 
@@ -45,16 +43,20 @@ pub(super) fn trim(beats: &mut Vec<Beat>, activations: &[Activation]) {
     beats.drain(..first);
 }
 
-/// Whether the beats next to one sound, and it and those next but one do not.
+/// Whether the beats next to one sound, and it and the next but one, on either side, do not.
 fn is_silent(strengths: &[f32], place: usize) -> bool {
-    let around = place.saturating_sub(AROUND)..(place + AROUND + 1).min(strengths.len());
-    let mean = |parity: usize| {
-        let same = around.clone().filter(|other| other % 2 == parity % 2);
-        let (sum, count) = same.fold((0.0, 0), |(sum, n), other| (sum + strengths[other], n + 1));
-        sum / count.max(1) as f32
+    let mean = |places: &[Option<usize>]| {
+        let strengths = places.iter().filter_map(|place| strengths.get((*place)?));
+        let (sum, count) = strengths.fold((0.0, 0), |(sum, count), s| (sum + s, count + 1));
+        (count == places.len()).then(|| sum / count as f32)
     };
-    let (own, others) = (mean(place), mean(place + 1));
-    // The beat alone as well: next to a change of tempo half of its neighbours are silent.
+    let at = |distance: isize| place.checked_add_signed(distance);
+    // At a change of tempo one side alone is silent.
+    let sides = [[at(-4), at(-2), at(0)], [at(0), at(2), at(4)]];
+    let own = sides.iter().filter_map(|side| mean(side)).reduce(f32::min);
+    let neighbours = [at(-1), at(1)].into_iter().flatten();
+    let neighbours = neighbours.filter_map(|place| strengths.get(place)).copied();
+    let Some((own, others)) = own.zip(neighbours.reduce(f32::min)) else { return false };
     others >= SOUNDING && own.max(strengths[place]) < SILENT_SHARE * others
 }
 

@@ -10,7 +10,7 @@ const REACH: usize = 2;
 /// Tempo, beats and bars of a song; without beats all is empty or 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SongBeats {
-    /// Beats per minute; of a tempo that changes, the median.
+    /// Beats per minute; of a tempo that changes, of the distances near the median.
     pub tempo_bpm: f64,
     /// Whether the tempo of every 16 beats is within 3 % of the whole song's.
     pub tempo_steady: bool,

@@ -6,13 +6,14 @@ const STEP: usize = 4;
 /// Share by which the tempo of a part may differ from that of the whole.
 const STEADY: f64 = 0.03;
 
+/// Share by which a usual distance may differ from the median.
+const USUAL: f64 = 0.1;
+
 /// Beats per minute, and whether they stay the same; nothing below two beats.
 pub(super) fn tempo(beats_s: &[f64]) -> Option<(f64, bool)> {
     let mut distances: Vec<f64> = beats_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let middle = distances.len() / 2;
-    let typical = *distances.get(middle)?;
     distances.sort_by(f64::total_cmp);
-    let median = distances.get(middle).copied().filter(|&d| d > 0.0).unwrap_or(typical);
+    let median = distances.get(distances.len() / 2).copied().filter(|&median| median > 0.0)?;
     // A beat that was left out, in a pause, leaves its number out.
     let mut number = 0.0;
     let mut numbered = vec![(0.0, *beats_s.first()?)];
@@ -23,10 +24,13 @@ pub(super) fn tempo(beats_s: &[f64]) -> Option<(f64, bool)> {
     let whole = slope(&numbered)?;
     let starts = (0..=numbered.len().saturating_sub(SPAN)).step_by(STEP);
     let parts = starts.map(|start| &numbered[start..(start + SPAN).min(numbered.len())]);
-    let mut slopes: Vec<f64> = parts.filter_map(slope).collect();
-    slopes.sort_by(f64::total_cmp);
-    let is_steady = slopes.iter().all(|slope| (slope / whole - 1.0).abs() <= STEADY);
-    let beat_s = if is_steady { whole } else { *slopes.get(slopes.len() / 2)? };
+    let mut slopes = parts.filter_map(slope);
+    let is_steady = slopes.all(|slope| (slope / whole - 1.0).abs() <= STEADY);
+    let mut usual = || {
+        distances.retain(|distance| (distance / median - 1.0).abs() <= USUAL);
+        distances.iter().sum::<f64>() / distances.len() as f64
+    };
+    let beat_s = if is_steady { whole } else { usual() };
     (beat_s > 0.0).then_some((60.0 / beat_s, is_steady))
 }
 
