@@ -3,10 +3,7 @@
 //!
 //! `UPDATE_MODELS=1 cargo test -p bailando-train --test main tiny_models` writes them again.
 
-use std::{
-    fs,
-    path::{Path, PathBuf},
-};
+use std::{fs, path::Path};
 
 use crate::common::{
     dancer::{counting, turning, widened},
