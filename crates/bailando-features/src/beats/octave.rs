@@ -5,6 +5,8 @@ use super::hmm::{Activation, Beat};
 /// A beat is silent that is below this share of its neighbours, which are at least so active.
 const SILENT_SHARE: f32 = 0.2;
 const SOUNDING: f32 = 0.5;
+/// Share of the mean below which a beat at either end is silent: the network starts at 0.2 or so.
+const END_SHARE: f32 = 0.33;
 /// Share of the activation on beats at which the middles between them are beats as well.
 const EQUAL_SHARE: f32 = 0.8;
 /// Frames on either side of a middle in which its beat is looked for.
@@ -36,7 +38,7 @@ pub(super) fn correct(beats: &mut Vec<Beat>, activations: &[Activation]) -> bool
 pub(super) fn trim(beats: &mut Vec<Beat>, activations: &[Activation]) {
     let active = |beat: &Beat| activations[beat.frame].any();
     let mean = beats.iter().map(active).sum::<f32>() / beats.len().max(1) as f32;
-    let sounds = |beat: &Beat| active(beat) >= SILENT_SHARE * mean;
+    let sounds = |beat: &Beat| active(beat) >= END_SHARE * mean;
     let first = beats.iter().position(sounds).unwrap_or(0);
     let end = beats.iter().rposition(sounds).map_or(0, |last| last + 1);
     beats.truncate(end);
