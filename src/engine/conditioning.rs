@@ -41,8 +41,8 @@ impl Conditioning {
         Err(EngineError::Option { name: "features", problem })
     }
 
-    /// Takes what the caller is told of the music, with time from the frame `lead` on, which is where
-    /// the motion begins: the frames before it belong to the motion that it continues.
+    /// Takes what the caller is told of the music, with time from the frame `lead` on, which is
+    /// where the motion begins: the frames before it belong to the motion that it continues.
     pub(crate) fn take_music_from(&mut self, lead: usize) -> Option<MusicInfo> {
         let mut info = self.music.take()?;
         let lead_s = lead as f64 / Rate::Beats.rows_per_second();

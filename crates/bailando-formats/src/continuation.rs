@@ -20,7 +20,8 @@ const MOST_JOINTS: usize = 32;
 /// Largest distance of a position from the origin, metres: no motion gets there, and single
 /// precision still resolves millimetres.
 const FURTHEST: f32 = 10_000.0;
-/// Largest velocity of the root (m/s) and of a joint about each axis (radians a second) in the text.
+/// Largest velocity of the root (m/s) and of a joint about each axis (radians a second) in the
+/// text.
 const FASTEST: f32 = 30.0 * PI;
 
 /// The end of a motion: what the next one must know to continue from it (`continue_from`).

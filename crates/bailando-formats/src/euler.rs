@@ -127,7 +127,9 @@ mod tests {
         }
 
         #[test]
-        fn the_first_angles_are_within_half_a_turn(angles in prop::array::uniform3(-12.0..12.0_f64)) {
+        fn the_first_angles_are_within_half_a_turn(
+            angles in prop::array::uniform3(-12.0..12.0_f64)
+        ) {
             for order in ORDERS {
                 let found = order.nearest_angles(order.compose(angles), [0.0; 3]);
                 prop_assert!(found.iter().all(|angle| angle.abs() <= PI + 1e-12), "{found:?}");
@@ -154,7 +156,8 @@ mod tests {
             let mut previous = [0.0; 3];
             for step in 0..1000 {
                 let t = f64::from(step) * 0.02;
-                // Spins ten radians about the first axis while the middle one swings past 90 degrees.
+                // Spins ten radians about the first axis while the middle one swings past 90
+                // degrees.
                 let angles = [0.5 * t, 2.2 * (0.7 * t).sin(), 0.0];
                 let found = order.nearest_angles(order.compose(angles), previous);
                 let steady = found.iter().zip(previous).all(|(a, b)| (a - b).abs() < 0.1);

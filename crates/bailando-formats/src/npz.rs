@@ -1,7 +1,7 @@
 //! NumPy archive in the layout of AMASS, which research code on SMPL reads.
 //!
-//! AMASS is z up: `trans` and the root's rotation are turned a quarter about x. Poses are axis-angle
-//! of SMPL-H's 52 joints, of which the first 22 are the body; hands rest.
+//! AMASS is z up: `trans` and the root's rotation are turned a quarter about x. Poses are
+//! axis-angle of SMPL-H's 52 joints, of which the first 22 are the body; hands rest.
 
 use std::{
     f64::consts::FRAC_PI_2,

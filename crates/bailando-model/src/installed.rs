@@ -1,5 +1,5 @@
-//! Where the files of an installed program lie: an archive that was unpacked somewhere, a checkout, or
-//! a Python environment (`pip install` puts the program into `bin` and its data into `share`).
+//! Where the files of an installed program lie: an archive that was unpacked somewhere, a checkout,
+//! or a Python environment (`pip install` puts the program into `bin` and its data into `share`).
 
 use std::{
     env, fs,

@@ -38,8 +38,8 @@ const ASSETS: &[Asset] = assets! {
     "viewer/licences.txt": "text/plain; charset=utf-8",
 };
 
-/// Hashes of the built files, which serve as their ETags: weak ones, for bytes are compressed on the
-/// way.
+/// Hashes of the built files, which serve as their ETags: weak ones, for bytes are compressed on
+/// the way.
 const BUILD: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/web/dist/build.json"));
 
 /// Scripts, styles and requests of this host only, none of them inline. `blob:` and `data:` are the

@@ -42,7 +42,8 @@ pub struct StudyScore {
     pub answers: usize,
     /// Mean over the people of each one's share of answers for the first method, 0 to 1.
     pub wins: f64,
-    /// Half of the 95 % confidence interval of `wins` (Student's t over people); none of one person.
+    /// Half of the 95 % confidence interval of `wins` (Student's t over people); none of one
+    /// person.
     pub margin: Option<f64>,
     /// The share for each pair, by name, over all its answers.
     pub pairs: BTreeMap<String, f64>,
