@@ -114,8 +114,8 @@ fn a_bench_measures_every_part() {
         assert!(found.is_some_and(|value| value > 0.0), "{place}: {found:?}");
     }
     assert_eq!(figures["throughput"]["same_codes"], true);
-    // 46 rows of eight frames.
-    assert_eq!(figures["lengths"][1]["frames"], 368);
+    // Six seconds.
+    assert_eq!(figures["lengths"][1]["frames"], 360);
     let svg = fs::read_to_string(&plot).expect("a plot");
     assert!(svg.contains("seconds of music"), "{svg}");
 }

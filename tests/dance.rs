@@ -284,10 +284,10 @@ fn jumps(positions: &Array3<f32>) -> (f32, f32) {
     largest
 }
 
-/// Clips of 2.05 s: 123 frames each, fifteen codes and three frames of another.
+/// Clips of 2.1 s: 126 frames each, fifteen codes and six frames of another.
 #[test]
 fn clips_chain_to_the_frame_without_a_seam() {
-    for (fps, frames) in [(60, 123), (30, 62)] {
+    for (fps, frames) in [(60, 126), (30, 63)] {
         let mut clips: Vec<GeneratedMotion> = Vec::new();
         let mut inside = (0.0_f32, 0.0_f32);
         for clip in 0..4 {
@@ -295,7 +295,7 @@ fn clips_chain_to_the_frame_without_a_seam() {
                 seed: Some(8),
                 fps,
                 continue_from: clips.last().and_then(tail_of),
-                range: AudioRange { offset_s: 2.05 * f64::from(clip), duration_s: Some(2.05) },
+                range: AudioRange { offset_s: 2.1 * f64::from(clip), duration_s: Some(2.1) },
                 ..GenerationOptions::default()
             };
             let clip = dance_to(&TINY, song("demo.ogg"), &options);

@@ -30,7 +30,7 @@ pub(crate) const TAKE: &str = "Dance";
 /// Largest error of a rotation: a tenth of a degree.
 const ROTATION_TOLERANCE: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// Largest error in radians of a bone of which the farthest joint below is a metre away.
-const REACH_TOLERANCE: f64 = 6e-4;
+const REACH_TOLERANCE: f64 = 4.5e-4;
 /// Largest error of the root's place, metres.
 const ROOT_TOLERANCE: f64 = 4e-4;
 /// Bytes of the doll, names and JSON.

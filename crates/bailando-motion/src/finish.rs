@@ -128,7 +128,7 @@ pub struct Finisher {
     grounded: Grounding<Animation>,
     cleaner: Option<Cleaner>,
     resampler: Resampler,
-    /// Joins the motion to one that it continues.
+    /// Joins a motion that is not cleaned to one that it continues.
     seam: Option<SeamBlend>,
     /// The last two frames released.
     last: Animation,
@@ -183,7 +183,7 @@ impl Finisher {
             solver,
             legs: Legs::new(skeleton).fit(decoded_fps),
             grounded: Grounding::new(floor, Animation::empty(decoded_fps)),
-            cleaner: clean.then(|| Cleaner::new(skeleton, decoded_fps, false)),
+            cleaner: clean.then(|| Cleaner::new(skeleton, decoded_fps, None)),
             resampler: Resampler::new(decoded_fps, fps)?,
             seam: None,
             last: Animation::empty(fps),
@@ -205,8 +205,11 @@ impl Finisher {
                 got: format!("{} rotations, {} spins", seam.rotations.len(), seam.spins.len()),
             });
         }
-        self.seam = Some(SeamBlend::new(seam, fps));
-        self.cleaner = self.cleaner.map(|_| Cleaner::new(&self.skeleton, fps, true));
+        let seam = Some(SeamBlend::new(seam, fps));
+        match &mut self.cleaner {
+            Some(cleaner) => *cleaner = Cleaner::new(&self.skeleton, fps, seam),
+            None => self.seam = seam,
+        }
         Ok(self)
     }
 

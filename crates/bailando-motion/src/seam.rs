@@ -49,6 +49,18 @@ fn turned(rotation: Quat, turn: Vec3) -> Quat {
     (Quat::from_scaled_axis(turn) * rotation).normalize()
 }
 
+/// Returns the rate at which a rotation vector changes while its rotation turns with `spin`: the
+/// inverse of the left Jacobian of the rotation group. They are equal for small vectors alone.
+fn rate_of(vector: Vec3, spin: Vec3) -> Vec3 {
+    let angle = vector.length();
+    // 1 / 12 is the limit for small angles.
+    let share = match angle > 1e-2 {
+        true => (1.0 / angle - 0.5 / (0.5 * angle).tan()) / angle,
+        false => 1.0 / 12.0,
+    };
+    spin - 0.5 * vector.cross(spin) + share * vector.cross(vector.cross(spin))
+}
+
 /// Blends the first frames of a motion from the seam with the one before it.
 #[derive(Clone, Debug)]
 pub(crate) struct SeamBlend {
@@ -105,11 +117,14 @@ impl SeamBlend {
         let (fps, next) = ((*fps).max(1) as f32, 1.min(root.len() - 1));
         let seam = &self.seam;
         let moves = (seam.root - root[0], seam.velocity / fps - (root[next] - root[0]));
-        let turns =
-            seam.rotations.iter().zip(&seam.spins).enumerate().map(|(joint, (&q, &spin))| {
-                let (first, second) = (rotations[0][joint], rotations[next][joint]);
-                (turn(first, q), spin / fps - turn(first, second))
-            });
+        let wanted = seam.rotations.iter().zip(&seam.spins);
+        let own = rotations[0].iter().zip(&rotations[next]);
+        let turns = wanted.zip(own).map(|((&wanted, &spin), (&first, &second))| {
+            let difference = turn(first, wanted);
+            // The motion's own spin is turned by the difference.
+            let own = Quat::from_scaled_axis(difference) * turn(first, second);
+            (difference, rate_of(difference, spin / fps - own))
+        });
         let all = std::iter::once(moves).chain(turns);
         all.map(|(difference, rate)| (difference.as_dvec3(), rate.as_dvec3())).collect()
     }
@@ -159,6 +174,17 @@ mod tests {
             }
             assert_eq!(after.root[30..], next.root[30..]);
             assert_eq!(after.rotations[30..], next.rotations[30..]);
+        }
+    }
+
+    #[test]
+    fn the_rate_of_a_rotation_vector_is_that_of_its_rotation() {
+        let spin = Vec3::new(0.3, -0.8, 0.5);
+        for vector in [Vec3::ZERO, Vec3::X * 0.005, Vec3::new(0.4, 1.0, -0.2), Vec3::Y * 3.0] {
+            let step = 1e-3;
+            let later = Quat::from_scaled_axis(spin * step) * Quat::from_scaled_axis(vector);
+            let found = (turn(Quat::IDENTITY, later) - vector) / step;
+            assert!((found - rate_of(vector, spin)).length() < 0.01, "{vector}: {found}");
         }
     }
 

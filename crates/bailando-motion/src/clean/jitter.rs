@@ -1,22 +1,27 @@
 //! Removal of jitter: a short symmetric average, which has no delay and so moves no dance beat.
 
+use std::ops::{Add, Mul};
+
 use glam::{Quat, Vec3};
 
 use crate::animation::{Animation, FrameQueue};
 
 /// Binomial weights of a frame and its neighbours on either side. They halve what trembles at 11 Hz
 /// at 60 frames a second and pass 97 % at 2 Hz, the rate of a fast beat.
-const WEIGHTS: [f32; 3] = [6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
-const REACH: usize = WEIGHTS.len() - 1;
+const WEIGHTS: [f32; 5] = [1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
+const REACH: isize = 2;
+/// Frames at either end of a motion through which the line goes that continues it beyond.
+const ENDS: usize = 5;
 
-/// Averages rotations and root of a motion over five frames. Beyond its ends the motion goes on as
-/// it came, mirrored in its end, so that first and last frame stay as they are.
+/// Averages rotations and root of a motion over five frames. Beyond its ends the motion goes on in a
+/// straight line.
 #[derive(Clone, Debug)]
 pub(super) struct JitterFilter {
     kept: Animation,
-    /// The last frames released, as they were, the latest first; as many as there were.
-    before: [Frame; REACH],
-    started: bool,
+    /// The last frames released, as they were, the latest first, as many as there were; and one more
+    /// that is being filtered.
+    before: [Frame; ENDS],
+    done: usize,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -27,13 +32,13 @@ struct Frame {
 
 impl JitterFilter {
     pub(super) fn new(fps: u32) -> Self {
-        Self { kept: Animation::empty(fps), before: Default::default(), started: false }
+        Self { kept: Animation::empty(fps), before: Default::default(), done: 0 }
     }
 
     /// Takes the next frames; returns those whose neighbours are known.
     pub(super) fn push(&mut self, animation: Animation) -> Animation {
         self.kept.push_frames(animation);
-        self.release(self.kept.root.len().saturating_sub(REACH))
+        self.release(self.kept.root.len().saturating_sub(ENDS - 1))
     }
 
     /// Returns the rest.
@@ -42,79 +47,58 @@ impl JitterFilter {
     }
 
     fn release(&mut self, count: usize) -> Animation {
-        if count > 0 && !self.started {
-            self.started = true;
-            let last = self.kept.root.len() - 1;
-            for (frame, reach) in self.before.iter_mut().zip(1..) {
-                let inside = last.min(reach);
-                let (roots, rotations) = (&self.kept.root, &self.kept.rotations);
-                frame.root = mirrored(roots[0], roots[inside]);
-                let pairs = rotations[0].iter().zip(&rotations[inside]);
-                frame.rotations.extend(pairs.map(|(&end, &q)| turned_on(end, q)));
-            }
-        }
         for frame in 0..count {
             self.filter(frame);
+            self.done += 1;
         }
         self.kept.take_frames(count)
     }
 
+    /// Filters a frame of those kept, of which the ones before it are in `before` as they were.
     fn filter(&mut self, frame: usize) {
-        let last = self.kept.root.len() - 1;
-        // Frames ahead, or how far they lie beyond the last one.
-        let ahead = [1, 2].map(|reach| (frame + reach).checked_sub(last + 1));
-        let [one, other] = &mut self.before;
-        let root = self.kept.root[frame];
-        let roots = &mut self.kept.root;
-        let next = |index: usize| match ahead[index] {
-            None => roots[frame + index + 1],
-            Some(beyond) => {
-                let inside = match (last - frame, beyond) {
-                    (0, 0) => one.root,
-                    (0, _) => other.root,
-                    _ => root,
+        let Self { kept: Animation { root, rotations, .. }, before, done } = self;
+        let ends = (-(*done as isize), (root.len() - 1 - frame) as isize);
+        let smooth = averaged(ends, |at| match before.get((-1 - at) as usize) {
+            Some(frame) => frame.root,
+            None => root[frame.strict_add_signed(at)],
+        });
+        let here = std::mem::replace(&mut root[frame], smooth);
+        before.rotate_right(1);
+        let [now, before @ ..] = before;
+        now.root = here;
+        now.rotations.clone_from(&rotations[frame]);
+        for (joint, &here) in now.rotations.iter().enumerate() {
+            let smooth = averaged(ends, |at| {
+                let rotation = match before.get((-1 - at) as usize) {
+                    Some(frame) => frame.rotations[joint],
+                    None => rotations[frame.strict_add_signed(at)][joint],
                 };
-                mirrored(roots[last], inside)
-            }
-        };
-        let [middle, near, far] = WEIGHTS;
-        let smooth = root * middle + (one.root + next(0)) * near + (other.root + next(1)) * far;
-        roots[frame] = smooth;
-        other.root = one.root;
-        one.root = root;
-        for joint in 0..self.kept.rotations[frame].len() {
-            let rotations = &mut self.kept.rotations;
-            let here = rotations[frame][joint];
-            let nearer = |q: Quat| if q.dot(here) < 0.0 { -q } else { q };
-            let next = |index: usize| match ahead[index] {
-                None => rotations[frame + index + 1][joint],
-                Some(beyond) => {
-                    let inside = match (last - frame, beyond) {
-                        (0, 0) => one.rotations[joint],
-                        (0, _) => other.rotations[joint],
-                        _ => here,
-                    };
-                    turned_on(rotations[last][joint], inside)
-                }
-            };
-            let sum = here * middle
-                + (nearer(one.rotations[joint]) + nearer(next(0))) * near
-                + (nearer(other.rotations[joint]) + nearer(next(1))) * far;
-            rotations[frame][joint] = sum.normalize();
-            other.rotations[joint] = one.rotations[joint];
-            one.rotations[joint] = here;
+                if rotation.dot(here) < 0.0 { -rotation } else { rotation }
+            });
+            rotations[frame][joint] = smooth.normalize();
         }
     }
 }
 
-/// Returns a place as far beyond `end` as `inside` lies before it.
-fn mirrored(end: Vec3, inside: Vec3) -> Vec3 {
-    2.0 * end - inside
-}
-
-/// Returns a rotation as far beyond `end` as `inside` lies before it.
-fn turned_on(end: Quat, inside: Quat) -> Quat {
-    (end * inside.inverse() * end).normalize()
+/// Averages `value` around 0; it is known from the first to the second of `ends`, and is continued
+/// by the line through the five values at an end.
+fn averaged<T: Copy + Add<Output = T> + Mul<f32, Output = T>>(
+    (first, last): (isize, isize),
+    value: impl Fn(isize) -> T,
+) -> T {
+    let beyond = |distance: isize, inside: &dyn Fn(isize) -> isize| {
+        // Least squares through values 0 to 4, at minus the distance.
+        let weight = |at: isize| 0.2 - 0.1 * (distance + 2) as f32 * (at - 2) as f32;
+        let term = |at: isize| value(inside(at).clamp(first, last)) * weight(at);
+        (1..ENDS as isize).fold(term(0), |sum, at| sum + term(at))
+    };
+    let term = |at: isize| match at {
+        at if at < first => beyond(first - at, &|inside| first + inside),
+        at if at > last => beyond(at - last, &|inside| last - inside),
+        at => value(at),
+    };
+    let terms = WEIGHTS.iter().zip(-REACH..).map(|(&weight, at)| term(at) * weight);
+    terms.reduce(|sum, term| sum + term).unwrap_or_else(|| value(0))
 }
 
 #[cfg(test)]
@@ -148,7 +132,7 @@ mod tests {
             let omega = std::f32::consts::TAU * hertz;
             let before = animation(240, |t| 0.1 * (omega * t).sin());
             let after = filtered(&before, 7);
-            let [middle, near, far] = WEIGHTS;
+            let [far, near, middle, ..] = WEIGHTS;
             let turn = omega / 60.0;
             let gain = middle + 2.0 * near * turn.cos() + 2.0 * far * (2.0 * turn).cos();
             for frame in 2..238 {
@@ -161,19 +145,27 @@ mod tests {
     }
 
     #[test]
-    fn steady_motion_and_both_ends_stay_as_they_are() {
-        for frames in [1, 2, 3, 4, 50] {
-            let steady = animation(frames, |t| 0.3 + 2.0 * t);
-            let jagged = animation(frames, |t| (900.0 * t).sin());
+    fn steady_motion_stays_as_it_is_to_its_ends() {
+        for frames in [1, 2, 5, 6, 50] {
+            let steady = animation(frames, |t| if frames < ENDS { 0.3 } else { 0.3 + 2.0 * t });
             for piece in [1, 3, 64] {
-                for (a, b) in filtered(&steady, piece).root.iter().zip(&steady.root) {
+                let after = filtered(&steady, piece);
+                assert_eq!(after.root.len(), frames);
+                for (a, b) in after.root.iter().zip(&steady.root) {
                     assert!((a.x - b.x).abs() < 1e-5);
                 }
-                let after = filtered(&jagged, piece);
-                assert_eq!(after.root.len(), frames);
-                assert!((after.root[0].x - jagged.root[0].x).abs() < 1e-5);
-                assert!((after.root[frames - 1].x - jagged.root[frames - 1].x).abs() < 1e-5);
+                for (a, b) in after.rotations.iter().zip(&steady.rotations) {
+                    assert!(a[0].angle_between(b[0]) < 1e-3);
+                }
             }
+        }
+    }
+
+    #[test]
+    fn jitter_is_removed_at_the_ends_as_well() {
+        let jagged = animation(50, |t| (60.0 * t * std::f32::consts::PI).cos());
+        for root in &filtered(&jagged, 7).root {
+            assert!(root.x.abs() < 0.5);
         }
     }
 }

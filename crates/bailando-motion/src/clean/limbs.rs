@@ -268,6 +268,6 @@ mod tests {
         };
         let after = cleaned(&through);
         let (before, after) = (deepest(&through), deepest(&after));
-        assert!(before > 0.03 && after < 0.015, "{before} {after}");
+        assert!(before > 0.015 && after < 0.002, "{before} {after}");
     }
 }

@@ -16,27 +16,32 @@ mod pose;
 
 use crate::{
     animation::{Animation, FrameQueue},
+    seam::SeamBlend,
     skeleton::Skeleton,
 };
 use feet::FeetPlanter;
 use jitter::JitterFilter;
 use limbs::LimbCleaner;
 
-/// Cleans one motion that stands on the floor, piece by piece: jitter, head, hinges and limits of
-/// elbows and knees, hands outside of the body, and last the feet, which everything else moves.
+/// Cleans one motion that stands on the floor, piece by piece: jitter, the seam with a motion before
+/// it, head, hinges and limits of elbows and knees, hands outside of the body, and last the feet,
+/// which everything else moves.
 #[derive(Clone, Debug)]
 pub(crate) struct Cleaner {
     jitter: JitterFilter,
+    seam: Option<SeamBlend>,
     limbs: LimbCleaner,
     feet: FeetPlanter,
 }
 
 impl Cleaner {
-    /// Plans for a motion of a valid skeleton at `fps`, which may continue another one that was
-    /// cleaned. Limbs that the skeleton lacks are left out.
-    pub(crate) fn new(skeleton: &Skeleton, fps: u32, continues: bool) -> Self {
+    /// Plans for a motion of a valid skeleton at `fps`, which may continue another one. Limbs that
+    /// the skeleton lacks are left out.
+    pub(crate) fn new(skeleton: &Skeleton, fps: u32, seam: Option<SeamBlend>) -> Self {
+        let continues = seam.is_some();
         Self {
             jitter: JitterFilter::new(fps),
+            seam,
             limbs: LimbCleaner::new(skeleton, fps, continues),
             feet: FeetPlanter::new(skeleton, fps, continues),
         }
@@ -44,12 +49,20 @@ impl Cleaner {
 
     /// Takes the next frames; returns those that are settled.
     pub(crate) fn push(&mut self, animation: Animation) -> Animation {
-        self.feet.push(self.limbs.push(self.jitter.push(animation)))
+        let mut smooth = self.jitter.push(animation);
+        if let Some(seam) = &mut self.seam {
+            smooth = seam.push(smooth);
+        }
+        self.feet.push(self.limbs.push(smooth))
     }
 
     /// Returns the rest.
     pub(crate) fn end(&mut self) -> Animation {
-        let smooth = self.jitter.end();
+        let mut smooth = self.jitter.end();
+        if let Some(seam) = &mut self.seam {
+            smooth = seam.push(smooth);
+            smooth.push_frames(seam.end());
+        }
         let mut limbs = self.limbs.push(smooth);
         limbs.push_frames(self.limbs.end());
         let mut feet = self.feet.push(limbs);
