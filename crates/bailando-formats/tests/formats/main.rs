@@ -37,11 +37,14 @@ fn short(frames: usize) -> GeneratedMotion {
 /// Up to half a minute of three recordings of dancers, with their names; none without the shared
 /// data.
 fn recorded(fps: u32) -> Vec<(String, GeneratedMotion)> {
+    finished(FinishOptions { fps, ..FinishOptions::default() })
+}
+
+fn finished(options: FinishOptions) -> Vec<(String, GeneratedMotion)> {
     let Some(folder) = bailando_testkit::shared("data/salsa") else {
         println!("skipped: this test needs the shared data");
         return Vec::new();
     };
-    let options = FinishOptions { fps, ..FinishOptions::default() };
     let motion = |(path, positions): (std::path::PathBuf, ndarray::Array3<f32>)| {
         let frames = positions.dim().0.min(1800);
         let decoded =
