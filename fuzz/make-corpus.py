@@ -206,12 +206,13 @@ def containers():
 
 
 def options():
-    tail = "continue_from=AQEjRWcAAEA_AAAAAAAAAAABAAIA"
+    tail = "continue_from=AgEjRWcAAABAPwAAAAAAAAAAAAEAAgA"
     good = {
         "none": "",
         "numbers": "fps=24&seed=9007199254740991&temperature=0.5&top_k=7&guidance=2.5&candidates=3",
         "start": "start_upper=1&start_lower=2&window=sliding&hop=15",
         "part": "offset_s=1.5&duration_s=2e1&root_motion=false&music=true",
+        "glb": "format=glb",
         "written": "format=bvh&include=rotations&encoding=base64&bvh_unit=m",
         "tail": tail,
         "escaped": "format=%6as%6Fn&fps=%360",
@@ -219,13 +220,12 @@ def options():
     }
     bad = {
         "tail-and-start": tail + "&start_upper=1",
-        "tail-of-nothing": "continue_from=AQEjRWcAAEA_AAAAAAAAAAA",
+        "tail-of-nothing": "continue_from=AgEjRWcAAABAPwAAAAAAAAAAAA",
         "tail-cut": tail[:-1],
         "tail-padded": tail + "=",
         "code": "start_upper=65535",
         "twice": "seed=1&seed=1",
         "unknown": "sede=1",
-        "later": "format=glb",
         "negative": "seed=-1",
         "nan": "temperature=NaN",
         "infinite": "duration_s=1e999",

@@ -13,13 +13,13 @@ const REACH: isize = 2;
 /// Frames at either end of a motion through which the line goes that continues it beyond.
 const ENDS: usize = 5;
 
-/// Averages rotations and root of a motion over five frames. Beyond its ends the motion goes on in a
-/// straight line.
+/// Averages rotations and root of a motion over five frames. Beyond its ends the motion goes on in
+/// a straight line.
 #[derive(Clone, Debug)]
 pub(super) struct JitterFilter {
     kept: Animation,
-    /// The last frames released, as they were, the latest first, as many as there were; and one more
-    /// that is being filtered.
+    /// The last frames released, as they were, the latest first, as many as there were; and one
+    /// more that is being filtered.
     before: [Frame; ENDS],
     done: usize,
 }

@@ -23,9 +23,9 @@ use feet::FeetPlanter;
 use jitter::JitterFilter;
 use limbs::LimbCleaner;
 
-/// Cleans one motion that stands on the floor, piece by piece: jitter, the seam with a motion before
-/// it, head, hinges and limits of elbows and knees, hands outside of the body, and last the feet,
-/// which everything else moves.
+/// Cleans one motion that stands on the floor, piece by piece: jitter, the seam with a motion
+/// before it, head, hinges and limits of elbows and knees, hands outside of the body, and last the
+/// feet, which everything else moves.
 #[derive(Clone, Debug)]
 pub(crate) struct Cleaner {
     jitter: JitterFilter,
