@@ -10,8 +10,8 @@ use crate::common::{
     fixture, imported, options, vqvae,
 };
 use bailando::{
-    features::{COLUMNS, Profile},
-    model::{ModelDirectory, StyleClassifier, SuppressedCodes, WeightStorage},
+    features::Profile,
+    model::{ModelDirectory, STATISTICS, StyleClassifier, SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
 use bailando_testkit::{
@@ -77,14 +77,13 @@ fn write_tiny_styles(out: &Path) {
 
 /// The mean of a feature column is high in each style.
 fn classifier() -> StyleClassifier {
-    let statistics = 2 * COLUMNS;
     let weights = |style: usize| {
-        (0..statistics).map(move |place| if place == style { 2.0 } else { 0.0 }).collect()
+        (0..STATISTICS).map(move |place| if place == style { 2.0 } else { 0.0 }).collect()
     };
     StyleClassifier {
         styles: STYLES.map(str::to_owned).into(),
-        mean: vec![0.0; statistics],
-        spread: vec![1.0; statistics],
+        mean: vec![0.0; STATISTICS],
+        spread: vec![1.0; STATISTICS],
         weights: (0..STYLES.len()).map(weights).collect(),
         bias: vec![0.0; STYLES.len()],
         least: 0.6,

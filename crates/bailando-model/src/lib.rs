@@ -25,6 +25,7 @@ mod manifest;
 mod manner;
 mod runtime;
 mod session;
+mod song_statistics;
 mod style_classifier;
 mod vocabulary;
 mod vqvae;
@@ -41,7 +42,8 @@ pub use manifest::{
 };
 pub use manner::{MAX_STYLES, Manner, MannerSpec, NO_STYLE, check_styles};
 pub use runtime::LIBRARY_VARIABLE;
-pub use style_classifier::{STYLES_FILE, StyleClassifier, root_mean_square, song_statistics};
+pub use song_statistics::{STATISTICS, song_statistics};
+pub use style_classifier::{STYLES_FILE, StyleClassifier, root_mean_square};
 pub use vocabulary::{SuppressedCodes, Vocabulary};
 pub use vqvae::{Decoder, Encoder, code_pairs};
 

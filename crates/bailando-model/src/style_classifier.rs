@@ -1,8 +1,9 @@
-//! The style of a song, from the means and spreads of its music features.
+//! The style of a song, from statistics of its music features.
 
-use bailando_features::COLUMNS;
-use ndarray::{ArrayView2, Axis, Slice};
+use ndarray::ArrayView2;
 use serde::{Deserialize, Serialize};
+
+use super::song_statistics::{STATISTICS, song_statistics};
 
 /// File of a model directory that holds its classifier.
 pub const STYLES_FILE: &str = "styles.json";
@@ -29,22 +30,6 @@ pub struct StyleClassifier {
     /// Root mean square of the standardised statistics beyond which a song is like none of the
     /// training's.
     pub farthest: f32,
-}
-
-/// Returns the statistics of a song's feature rows `[rows, 438 or more]`: the mean of each of the
-/// 438 columns, then its spread. Zeros without rows.
-#[must_use]
-pub fn song_statistics(rows: ArrayView2<'_, f32>) -> Vec<f32> {
-    let columns = rows.ncols().min(COLUMNS);
-    let features = rows.slice_axis(Axis(1), Slice::from(..columns));
-    let count = rows.nrows().max(1) as f64;
-    let moments = features.columns().into_iter().map(|column| {
-        let mean = column.iter().map(|&value| f64::from(value)).sum::<f64>() / count;
-        let squares = column.iter().map(|&value| (f64::from(value) - mean).powi(2));
-        (mean as f32, (squares.sum::<f64>() / count).sqrt() as f32)
-    });
-    let (means, spreads): (Vec<f32>, Vec<f32>) = moments.unzip();
-    [means, spreads].concat()
 }
 
 impl StyleClassifier {
@@ -97,14 +82,14 @@ impl StyleClassifier {
         if self.styles != styles {
             return Err("its styles are not the manifest's".into());
         }
-        let (count, statistics) = (self.styles.len(), 2 * COLUMNS);
+        let count = self.styles.len();
         let lists = [&self.mean, &self.spread];
         let lists = lists.into_iter().chain(&self.weights);
         if self.weights.len() != count || self.bias.len() != count {
             return Err(format!("it does not have {count} lists of weights and biases"));
         }
-        if lists.clone().any(|list| list.len() != statistics) {
-            return Err(format!("a list does not have {statistics} numbers"));
+        if lists.clone().any(|list| list.len() != STATISTICS) {
+            return Err(format!("a list does not have {STATISTICS} numbers"));
         }
         let finite = lists.flatten().chain(&self.bias).all(|number| number.is_finite());
         if !finite || self.spread.iter().any(|&spread| spread <= 0.0) {
@@ -123,21 +108,22 @@ pub fn root_mean_square(numbers: &[f32]) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use bailando_features::COLUMNS;
     use ndarray::Array2;
 
     use super::*;
 
-    /// Knows a loud style by the mean of column 0, and a quiet one.
+    /// Knows a loud style by the mean of column 0 (the first MFCC), and a quiet one.
     fn classifier() -> StyleClassifier {
         let weights = |weight: f32| {
-            let mut weights = vec![0.0; 2 * COLUMNS];
+            let mut weights = vec![0.0; STATISTICS];
             weights[0] = weight;
             weights
         };
         StyleClassifier {
             styles: vec!["loud".into(), "quiet".into()],
-            mean: vec![1.0; 2 * COLUMNS],
-            spread: vec![2.0; 2 * COLUMNS],
+            mean: vec![1.0; STATISTICS],
+            spread: vec![2.0; STATISTICS],
             weights: vec![weights(4.0), weights(-4.0)],
             bias: vec![0.0, 0.0],
             least: 0.6,
@@ -150,15 +136,6 @@ mod tests {
             let spread = if row % 2 == 0 { 1.0 } else { -1.0 };
             spread + if column == 0 { first } else { others }
         })
-    }
-
-    #[test]
-    fn statistics_are_means_and_spreads_of_the_features_alone() {
-        let statistics = song_statistics(song(5.0, 2.0).view());
-        assert_eq!(statistics.len(), 2 * COLUMNS);
-        assert_eq!((statistics[0], statistics[1], statistics[COLUMNS]), (5.0, 2.0, 1.0));
-        let nothing = song_statistics(Array2::zeros((0, COLUMNS)).view());
-        assert!(nothing.iter().all(|&value| value == 0.0));
     }
 
     #[test]
@@ -182,7 +159,7 @@ mod tests {
         assert_eq!(classifier().validate(&styles), Ok(()));
         assert!(refused(|it| it.styles.reverse()).contains("not the manifest's"));
         assert!(refused(|it| it.bias.truncate(1)).contains("weights and biases"));
-        assert!(refused(|it| it.weights[1].truncate(875)).contains("876 numbers"));
+        assert!(refused(|it| it.weights[1].truncate(154)).contains("155 numbers"));
         assert!(refused(|it| it.spread[3] = 0.0).contains("not above 0"));
         assert!(refused(|it| it.weights[0][0] = f32::NAN).contains("finite"));
     }
