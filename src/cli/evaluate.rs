@@ -41,6 +41,13 @@ pub(super) struct EvaluateArgs {
     /// Number of folders in --generated, one per seed: prints their mean with 95 % intervals
     #[arg(long, value_name = "N")]
     seeds: Option<NonZeroUsize>,
+    /// Data folder whose training recordings teach what styles look like, so that the dances' own
+    /// are recognised; repeated for several
+    #[arg(long, value_name = "DIR")]
+    styles_from: Vec<PathBuf>,
+    /// The style that all generated dances were asked for [default: that of their piece]
+    #[arg(long, value_name = "NAME", requires = "styles_from")]
+    style: Option<String>,
     /// Acceleration in kinetic features: as published, or corrected (not comparable with published
     /// figures)
     #[arg(long, value_enum, default_value = "published")]
@@ -85,6 +92,8 @@ impl EvaluateArgs {
                 KineticArg::Corrected => KineticForm::Corrected,
             },
             seeds: self.seeds,
+            styles_from: self.styles_from.clone(),
+            style: self.style.clone(),
             chance_seed: self.chance_seed,
         }
     }

@@ -243,9 +243,9 @@ impl Engine {
         request: GenerationRequest,
         completion: &Arc<Completion>,
     ) -> Result<(), EngineError> {
-        let GenerationRequest { music, options, progress, stream, owner } = request;
+        let GenerationRequest { music, options, progress, stream, longest, owner } = request;
         let accepted = self.accept(options, completion)?;
-        let request = AcceptedRequest { progress, stream, owner, ..accepted };
+        let request = AcceptedRequest { progress, stream, longest, owner, ..accepted };
         match music {
             MusicSource::Audio(audio) => {
                 let queue = &self.shared.audio.0;
@@ -269,6 +269,7 @@ impl Engine {
             options,
             progress: Arc::new(()),
             stream: None,
+            longest: None,
             owner: 0,
             completion: Arc::clone(completion),
             submitted: Instant::now(),

@@ -41,6 +41,8 @@ pub(crate) struct AudioFrontend {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Selection {
     pub(crate) range: AudioRange,
+    /// Longest song in seconds, where that is less than the limit.
+    pub(crate) longest: Option<f64>,
     /// Whether tempo and beats are wanted.
     pub(crate) music: bool,
     /// Whether beats are needed to choose between candidates.
@@ -100,7 +102,7 @@ impl AudioFrontend {
         progress.stage(Stage::Decoding);
         let audio = spent(&mut timings.decode, "decode", || {
             let rates = trackers.rates();
-            self.decode(audio, selection.range, &rates, cancel)
+            self.decode(audio, selection, &rates, cancel)
         })?;
         let seconds = audio.duration_s;
         progress.decoded(seconds);
@@ -137,13 +139,16 @@ impl AudioFrontend {
     fn decode(
         &self,
         audio: Bytes,
-        range: AudioRange,
+        Selection { range, longest, .. }: Selection,
         rates: &[u32],
         cancel: &CancelToken,
     ) -> Result<DecodedAudio, EngineError> {
-        let limit = self.effort.of(audio.len(), range, self.limits.max_seconds);
+        let most = self.limits.max_seconds;
+        let max_seconds = longest.map_or(most, |longest| longest.min(most));
+        let limits = AudioLimits { max_seconds, ..self.limits.clone() };
+        let limit = self.effort.of(audio.len(), range, max_seconds);
         let (effort, cancel) = Effort::begin(limit, cancel);
-        audio::decode(audio, range, rates, &self.limits, &cancel).map_err(|error| match error {
+        audio::decode(audio, range, rates, &limits, &cancel).map_err(|error| match error {
             AudioError::Cancelled if effort.is_used_up() => {
                 AudioError::DecodeTimeout { limit: effort.limit }.into()
             }
@@ -244,7 +249,8 @@ mod tests {
             let spec = FeatureSpec { counts, count_periods: count_periods.to_vec(), ..spec };
             let frontend =
                 AudioFrontend::new(spec, AudioLimits::default(), DecodeEffort::default());
-            let selection = Selection { range: AudioRange::default(), music, is_chosen };
+            let selection =
+                Selection { range: AudioRange::default(), longest: None, music, is_chosen };
             let Trackers { librosa, beatnet } = frontend.trackers(selection);
             (librosa, beatnet)
         };

@@ -29,6 +29,8 @@ pub(crate) struct AcceptedRequest {
     pub(crate) prologue: Prologue,
     pub(crate) completion: Arc<Completion>,
     pub(crate) submitted: Instant,
+    /// Longest song in seconds, where that is less than the frontend's limit.
+    pub(crate) longest: Option<f64>,
     pub(crate) owner: u64,
 }
 
@@ -67,6 +69,7 @@ impl Preparer {
         let lead = lead(&request, manifest);
         let selection = Selection {
             range: from_lead(options.range, lead, manifest.fps),
+            longest: request.longest,
             music: options.music,
             is_chosen: options.candidates(manifest, self.rows) > 1,
         };

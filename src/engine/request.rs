@@ -22,6 +22,8 @@ pub struct GenerationRequest {
     pub progress: Arc<dyn Progress>,
     /// Receives the motion as it is decoded, in place of the output.
     pub stream: Option<Arc<dyn MotionStream>>,
+    /// Longest song in seconds, where that is less than the engine's limit.
+    pub longest: Option<f64>,
     /// Whose it is: owners share the model's time equally, however many requests each has.
     pub owner: u64,
 }
@@ -49,13 +51,19 @@ impl GenerationRequest {
     }
 
     fn new(music: MusicSource, options: GenerationOptions) -> Self {
-        Self { music, options, progress: Arc::new(()), stream: None, owner: 0 }
+        Self { music, options, progress: Arc::new(()), stream: None, longest: None, owner: 0 }
     }
 
     /// Reports to `progress`.
     #[must_use]
     pub fn with_progress(self, progress: Arc<dyn Progress>) -> Self {
         Self { progress, ..self }
+    }
+
+    /// Refuses a song that is longer, as soon as so much of it is decoded.
+    #[must_use]
+    pub fn within(self, seconds: f64) -> Self {
+        Self { longest: Some(seconds), ..self }
     }
 
     /// Counts it as one of `owner`'s.

@@ -278,6 +278,11 @@ fn classify_audio(error: &AudioError) -> (StatusCode, &'static str) {
 }
 
 impl ServerError {
+    /// Whether the song goes on after the longest that was accepted.
+    pub(crate) fn is_too_long(&self) -> bool {
+        matches!(self, Self::Engine(EngineError::Audio(AudioError::TooLong { .. })))
+    }
+
     /// Returns the error as the caller sees it. Faults of our own are logged here, and hidden.
     pub(crate) fn report(&self) -> Report {
         let (status, error_type) = self.classify();

@@ -11,7 +11,10 @@ use super::{
     layers::client::Client,
     options::RequestOptions,
     resources::UploadReservation,
-    response::negotiate::{self, Shape},
+    response::{
+        encoding::Encoding,
+        negotiate::{self, Shape},
+    },
     state::{Generate, SharedState},
     tracker::{Phase, RequestTracker, Waiting},
     upload::{self, body::IncomingBody, media::Media},
@@ -110,19 +113,24 @@ fn shape(
     options: &RequestOptions,
     headers: &HeaderMap,
 ) -> Result<Shape, ServerError> {
+    let encoding = Encoding::preferred(headers);
     match purpose {
         Purpose::Dance => Ok(Shape {
             format: match options.format {
                 Some(format) => format,
                 None => negotiate::dance(headers, OutputFormat::default())?,
             },
+            encoding,
             lines: false,
         }),
         // The answer to the order itself is JSON always.
-        Purpose::Job => Ok(Shape { format: options.format.unwrap_or_default(), lines: false }),
+        Purpose::Job => {
+            Ok(Shape { format: options.format.unwrap_or_default(), encoding, lines: false })
+        }
         Purpose::Stream => match options.format {
             None | Some(OutputFormat::Json) => Ok(Shape {
                 format: OutputFormat::Json,
+                encoding: Encoding::Identity,
                 lines: negotiate::events_as_lines(headers)?,
             }),
             Some(other) => Err(ServerError::Option {

@@ -9,14 +9,17 @@ use super::{
     metrics::SharedMetrics,
     openapi,
     options::shorten,
-    response::negotiate::{EVENTS, LINES},
+    response::{
+        encoding::Encoding,
+        negotiate::{EVENTS, LINES},
+    },
     routes::{docs, viewer},
     state::{Generate, ServerState, SharedState},
 };
 use axum::{
     Router,
     extract::Request,
-    http::{Method, StatusCode, Uri},
+    http::{Extensions, HeaderMap, Method, StatusCode, Uri, Version},
     middleware,
     response::{IntoResponse, Response},
 };
@@ -58,14 +61,17 @@ pub(crate) fn router_with(state: SharedState, access: &Access) -> Router {
     }
 }
 
-/// Compresses responses for clients that ask for it: half a minute of JSON to a third. Events are
-/// sent as they come, which a compressor would hold back. The fastest levels: a piece of a response
-/// takes less than a millisecond of a worker's time.
+/// Compresses documents for clients that ask for it. Dances are compressed where they are written,
+/// off the threads that serve connections, and events are sent as they come, which a compressor
+/// would hold back.
 fn compression() -> CompressionLayer<impl Predicate> {
     let kinds = SizeAbove::new(SMALLEST_COMPRESSED)
         .and(NotForContentType::const_new(EVENTS))
         .and(NotForContentType::const_new(LINES))
-        .and(NotForContentType::IMAGES);
+        .and(NotForContentType::IMAGES)
+        .and(|_: StatusCode, _: Version, _: &HeaderMap, extensions: &Extensions| {
+            extensions.get::<Encoding>().is_none()
+        });
     CompressionLayer::new().quality(CompressionLevel::Fastest).compress_when(kinds)
 }
 

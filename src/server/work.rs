@@ -7,7 +7,7 @@ use super::{
     error::ServerError,
     intake::Order,
     metrics::SharedMetrics,
-    resources::Permit,
+    resources::{Permit, Stay},
     state::SharedState,
     tracker::{Held, RequestTracker, Work},
 };
@@ -18,27 +18,71 @@ use crate::{
 };
 
 impl Order {
+    /// Waits for a worker. A song whose length nobody says is short until it proves long.
+    pub(crate) async fn admit(
+        &self,
+        state: &SharedState,
+        stay: Stay,
+    ) -> Result<Permit, ServerError> {
+        let said = self.options.longest_seconds();
+        let is_long = said.is_some_and(|seconds| seconds > self.short_seconds(&state.limits));
+        let stay = if is_long { Stay::Long } else { stay };
+        state.resources.admission.admit(self.client, stay).await
+    }
+
     /// Waits for a share of the audio seconds, and begins the work; the song goes with the request
-    /// to the engine. How long it really is, is known once it is decoded.
+    /// to the engine. How long it really is, is known once it is decoded. The worker for short
+    /// requests refuses a longer one, which then begins again with another.
     pub(crate) async fn begin(
         &mut self,
         state: &SharedState,
         permit: Permit,
     ) -> Result<(GenerationRequest, Arc<Work>), ServerError> {
-        let audio = state.resources.audio.reserve(self.most_seconds(&state.limits)).await;
-        let held = Held { upload: self.upload.take(), audio: Some(audio), permit: Some(permit) };
-        let work = Work::begin(&self.tracker, held);
-        let audio = std::mem::take(&mut self.audio);
+        let is_express = permit.is_express();
+        let short = is_express.then(|| self.short_seconds(&state.limits));
+        let most = self.most_seconds(&state.limits, is_express);
+        let held = Some(state.resources.audio.reserve(most).await);
+        let (audio, upload) = match short {
+            Some(_) => (self.audio.clone(), None),
+            None => (std::mem::take(&mut self.audio), self.upload.take()),
+        };
+        let work = Work::begin(&self.tracker, Held { upload, audio: held, permit: Some(permit) });
         let options = self.options.generation(self.shape.format);
         let request = GenerationRequest::audio(audio, options).owned_by(self.client.number());
-        Ok((request.with_progress(Arc::clone(&work) as _), work))
+        let request = request.with_progress(Arc::clone(&work) as _);
+        Ok((short.into_iter().fold(request, GenerationRequest::within), work))
     }
 
-    /// The most whole seconds that the dance can take.
-    pub(crate) fn most_seconds(&self, limits: &Limits) -> u64 {
-        let longest = limits.max_audio_seconds;
+    /// The longest dance that counts as short.
+    fn short_seconds(&self, limits: &Limits) -> f64 {
+        limits.short_seconds / self.options.candidates.unwrap_or(1).max(1) as f64
+    }
+
+    /// The most whole seconds that the dance can take, in the worker for short requests or another.
+    pub(crate) fn most_seconds(&self, limits: &Limits, is_express: bool) -> u64 {
+        let longest = match is_express {
+            true => self.short_seconds(limits).min(limits.max_audio_seconds),
+            false => limits.max_audio_seconds,
+        };
         let asked = self.options.longest_seconds().unwrap_or(longest);
         asked.min(longest).ceil() as u64
+    }
+}
+
+/// Waits for a worker, and generates a whole dance of `kind`.
+pub(crate) async fn dance_in_turn(
+    state: &SharedState,
+    order: &mut Order,
+    kind: &'static str,
+) -> Result<(GeneratedMotion, Arc<Work>), ServerError> {
+    let permit = order.admit(state, Stay::Short).await?;
+    let is_express = permit.is_express();
+    match dance(state, order, permit, kind).await {
+        Err(error) if is_express && error.is_too_long() => {
+            let permit = order.admit(state, Stay::Long).await?;
+            dance(state, order, permit, kind).await
+        }
+        other => other,
     }
 }
 

@@ -11,6 +11,7 @@ use std::{
 };
 
 use bailando::{
+    audio::AudioError,
     engine::{
         DEFAULT_BATCH, EngineError, Generation, GenerationOptions, GenerationOutput,
         GenerationRequest, MotionOutput, MusicSource, Opening, Pending, Stage,
@@ -41,6 +42,8 @@ pub(crate) const LATE_PANIC: &[u8] = b"late panic";
 
 /// Audio that makes the fake generate many frames.
 pub(crate) const LONG_DANCE: &[u8] = b"long dance";
+/// A song of 100 s, which waits as [`BLOCK`] does.
+pub(crate) const LONG_SONG: &[u8] = b"long song";
 
 /// Generates 0.1 s of motion to anything else.
 pub(crate) struct Fake {
@@ -115,6 +118,9 @@ impl Fake {
         self.generations.fetch_add(1, Ordering::SeqCst);
         let progress = &request.progress;
         progress.stage(Stage::Decoding);
+        if let (Some(max_seconds), true) = (request.longest, audio.starts_with(LONG_SONG)) {
+            return Err(AudioError::TooLong { seconds: 100.0, max_seconds }.into());
+        }
         let frames = if audio.starts_with(LONG_DANCE) { MANY_FRAMES } else { FRAMES };
         let mut output = output(&request.options, frames);
         match &request.stream {
@@ -129,7 +135,7 @@ impl Fake {
                 self.started.add_permits(1);
             }
         }
-        if audio.starts_with(BLOCK) {
+        if audio.starts_with(BLOCK) || audio.starts_with(LONG_SONG) {
             self.block(is_cancelled)?;
         }
         if audio.starts_with(PANIC) || audio.starts_with(LATE_PANIC) {

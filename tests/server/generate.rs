@@ -10,7 +10,7 @@ use bailando::server::Limits;
 
 use crate::server::{
     client::{Answer, app, form, post, raw, refuse, send, succeed, with},
-    fake::{Fake, PANIC},
+    fake::{Fake, LONG_DANCE, PANIC},
 };
 
 async fn ask(request: Request<Body>) -> Answer {
@@ -230,11 +230,21 @@ async fn responses_are_compressed_for_who_asks_and_streams_are_not() {
     let app = app(&Fake::new(), &Limits::default());
     let document = || Request::get("/api-doc/openapi.json").body(Body::empty()).unwrap();
     let plain = send(&app, document()).await;
-    assert!(!plain.headers.contains_key("content-encoding"));
+    let dance = || raw("seed=1", LONG_DANCE);
+    let plain_dance = send(&app, dance()).await;
+    assert_eq!(plain_dance.header("vary"), "accept-encoding");
+    for answer in [&plain, &plain_dance] {
+        assert!(!answer.headers.contains_key("content-encoding"));
+    }
     for (encoding, magic) in [("gzip", &[0x1f, 0x8b][..]), ("zstd", &[0x28, 0xb5]), ("br", &[])] {
         let answer = send(&app, with(document(), "accept-encoding", encoding)).await;
         assert_eq!(answer.header("content-encoding"), encoding);
         assert!(answer.body.starts_with(magic) && answer.body.len() < plain.body.len() / 2);
+        let answer = send(&app, with(dance(), "accept-encoding", encoding)).await;
+        assert_eq!(answer.header("content-encoding"), encoding);
+        assert_eq!(answer.header("content-length"), answer.body.len().to_string());
+        assert!(answer.body.starts_with(magic));
+        assert!(answer.body.len() < plain_dance.body.len() / 2);
         let stream = with(post("/generate/stream", "", "song"), "accept-encoding", encoding);
         assert!(!send(&app, stream).await.headers.contains_key("content-encoding"));
     }

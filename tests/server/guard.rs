@@ -14,7 +14,7 @@ use super::{
     client::{
         LONG, app, app_for, eventually, get as ask, post, raw, send, spawn, until_counted, with,
     },
-    fake::{BLOCK, Fake, LONG_DANCE},
+    fake::{BLOCK, Fake, LONG_DANCE, LONG_SONG},
     lifecycle::{Server, get, post as song, post_to},
 };
 
@@ -251,6 +251,26 @@ async fn one_client_leaves_workers_to_the_others() {
     assert_eq!(other.status, 200);
     fake.release();
     for answer in many {
+        assert_eq!(answer.await.unwrap().status, 200);
+    }
+}
+
+#[tokio::test]
+async fn long_songs_leave_a_worker_to_short_ones_of_the_same_client() {
+    let fake = Fake::new();
+    let app = keyed(&fake, &Limits::default());
+    // It proves to be long in the worker for short ones only: two of three others are its share.
+    let long = ["/generate", "/generate", "/generate", "/generate/stream"];
+    let long = long.map(|path| spawn(&app, of("one", post(path, "", LONG_SONG))));
+    let said = spawn(&app, of("one", raw("duration_s=21&candidates=3", "song")));
+    fake.wait_started(2).await;
+    until_counted(&app, &["bailando_queue_waiting 3", "bailando_requests_running 2"]).await;
+    for query in ["", "duration_s=20&candidates=3"] {
+        assert_eq!(send(&app, of("one", raw(query, "song"))).await.status, 200);
+    }
+    assert!(!said.is_finished());
+    fake.release();
+    for answer in long.into_iter().chain([said]) {
         assert_eq!(answer.await.unwrap().status, 200);
     }
 }

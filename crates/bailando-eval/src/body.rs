@@ -38,6 +38,27 @@ pub(crate) mod joint {
     pub(crate) const R_WRIST: usize = 21;
 }
 
+/// The pose around its root as the dancer sees it: left is +x, and +z is where hips and shoulders
+/// face.
+pub(crate) fn in_dancer_frame(pose: &Pose) -> Pose {
+    let (cosine, sine) = facing(pose);
+    pose.map(|place| {
+        let place = place - pose[joint::ROOT];
+        DVec3::new(cosine * place.x + sine * place.z, place.y, cosine * place.z - sine * place.x)
+    })
+}
+
+/// Cosine and sine of the turn from the dancer's left to +x, about y.
+pub(crate) fn facing(pose: &Pose) -> (f64, f64) {
+    use joint::{L_HIP, L_SHOULDER, R_HIP, R_SHOULDER};
+    let across = pose[L_HIP] - pose[R_HIP] + pose[L_SHOULDER] - pose[R_SHOULDER];
+    let length = across.x.hypot(across.z);
+    match length > 1e-9 {
+        true => (across.x / length, across.z / length),
+        false => (1.0, 0.0),
+    }
+}
+
 /// Names of the joints in SMPL order, as in data folders, JSON and BVH.
 pub(crate) const JOINT_NAMES: &str = "pelvis l_hip r_hip spine1 l_knee r_knee spine2 l_ankle \
     r_ankle spine3 l_foot r_foot neck l_collar r_collar head l_shoulder r_shoulder l_elbow r_elbow \

@@ -22,6 +22,7 @@ mod scores;
 mod sets;
 mod skeletal;
 mod study;
+mod style;
 #[cfg(test)]
 mod testing;
 
@@ -36,7 +37,7 @@ pub use load::load_motion;
 pub use metric::{Metric, Scores};
 pub use motion_quality::MotionQuality;
 pub use music::BeatsFrom;
-pub use report::{Protocol, Report};
+pub use report::{Protocol, Report, StyleRow};
 pub use run::{EvaluationOptions, evaluate};
 pub use scores::FeatureRows;
 pub use study::{StudyOptions, StudyScore};

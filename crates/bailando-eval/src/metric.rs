@@ -74,6 +74,8 @@ metrics! {
     ChannelJump "channel_jump" "largest channel jump, degrees a frame" Low 1
     "Share of 2 s windows that a training take has, too."
     Recitation "recitation" "recited share of 2 s windows" Low 4
+    "Share of 8 s windows that look like the style of their piece, or the one asked for."
+    StyleAccuracy "style_accuracy" "share of 8 s windows whose style is recognised" High 3
     "Different codes of the upper body in all pieces."
     CodesUpper "codes_upper" "different codes, upper body" High 1
     "Different codes of the lower body in all pieces."

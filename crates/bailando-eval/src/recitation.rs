@@ -1,9 +1,6 @@
 //! The share of a motion that repeats a training take (METRICS.md, "Recitation").
 
-use crate::body::{
-    JOINTS, Motion, Pose,
-    joint::{L_HIP, L_SHOULDER, R_HIP, R_SHOULDER, ROOT},
-};
+use crate::body::{JOINTS, Motion, Pose, in_dancer_frame};
 
 /// Frames of a window: 2 s.
 const WINDOW: usize = 120;
@@ -55,7 +52,7 @@ impl TrainingTakes {
 
 impl Take {
     fn new(poses: &[Pose]) -> Self {
-        let poses: Vec<Flat> = poses.iter().map(without_root_and_heading).collect();
+        let poses: Vec<Flat> = poses.iter().map(flat).collect();
         let windows = running_means(&poses, WINDOW);
         let mut travelled = Vec::with_capacity(windows.len());
         let mut so_far = 0.0;
@@ -101,21 +98,9 @@ impl Take {
 }
 
 /// Moves the root to the origin, and turns the pose so that its left points along x.
-fn without_root_and_heading(pose: &Pose) -> Flat {
-    let across = pose[L_HIP] - pose[R_HIP] + pose[L_SHOULDER] - pose[R_SHOULDER];
-    let length = across.x.hypot(across.z);
-    let (cosine, sine) = match length > 1e-9 {
-        true => (across.x / length, across.z / length),
-        false => (1.0, 0.0),
-    };
-    let mut flat = [[0.0; JOINTS]; 3];
-    for (joint, &place) in pose.iter().enumerate() {
-        let place = place - pose[ROOT];
-        flat[0][joint] = (cosine * place.x + sine * place.z) as f32;
-        flat[1][joint] = place.y as f32;
-        flat[2][joint] = (cosine * place.z - sine * place.x) as f32;
-    }
-    flat
+fn flat(pose: &Pose) -> Flat {
+    let pose = in_dancer_frame(pose);
+    [0, 1, 2].map(|axis| pose.map(|place| place[axis] as f32))
 }
 
 /// Mean joint distance, metres.
@@ -226,8 +211,8 @@ mod tests {
         let exact = |poses: &[Pose], start: usize| {
             let mean = |own: usize| {
                 let frames = (0..WINDOW).map(|at| {
-                    let one = without_root_and_heading(&take[own + at]);
-                    distance(&one, &without_root_and_heading(&poses[start + at]))
+                    let one = flat(&take[own + at]);
+                    distance(&one, &flat(&poses[start + at]))
                 });
                 frames.sum::<f32>() / WINDOW as f32
             };

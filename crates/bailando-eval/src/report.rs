@@ -1,6 +1,9 @@
 //! The result of an evaluation, as JSON or as a Markdown table.
 
-use std::{collections::BTreeMap, fmt::Write};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt::Write,
+};
 
 use serde::Serialize;
 
@@ -43,11 +46,35 @@ pub struct Report {
     pub sets: Vec<Scores>,
     /// The reference's own test pieces against the whole reference.
     pub reference: Scores,
+    /// What a few pieces are enough to measure, for each style; empty where styles are not
+    /// recognised.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub styles: BTreeMap<String, StyleRow>,
     /// The measuring.
     pub protocol: Protocol,
     /// Facts to know before comparing, in plain words.
     pub warnings: Vec<String>,
 }
+
+/// Scores of one style.
+#[derive(Clone, Debug, Serialize)]
+pub struct StyleRow {
+    /// The reference's own test pieces of this style; none where it has none.
+    pub reference: Option<Scores>,
+    /// Generated motions of this style; with several sets, the mean of each metric.
+    pub generated: Option<Scores>,
+}
+
+/// The columns of the table of styles.
+const STYLE_COLUMNS: [Metric; 7] = [
+    Metric::StyleAccuracy,
+    Metric::BeatMargin,
+    Metric::MeanSpeed,
+    Metric::SlowFrames,
+    Metric::Jerk,
+    Metric::FootSkate,
+    Metric::FootContact,
+];
 
 impl Report {
     /// Takes the scores of one or more generated sets, each from another seed.
@@ -57,21 +84,9 @@ impl Report {
         protocol: Protocol,
         warnings: Vec<String>,
     ) -> Self {
-        let count = |get: fn(&Scores) -> usize| sets.iter().map(get).max().unwrap_or(0);
-        let mut generated = Scores::new(count(|set| set.pieces), count(|set| set.samples));
-        let mut margin95 = BTreeMap::new();
-        for metric in Metric::all() {
-            let values: Vec<f64> = sets.iter().filter_map(|set| set.get(metric)).collect();
-            // A mean over some of the sets would be compared with one over all.
-            if values.len() != sets.len() {
-                continue;
-            }
-            if let Some((mean, margin)) = mean_and_margin(&values) {
-                generated.set(metric, mean);
-                margin95.extend(margin.map(|margin| (metric.key(), margin)));
-            }
-        }
+        let (generated, margin95) = mean_of(&sets);
         Self {
+            styles: BTreeMap::new(),
             generated,
             margin95,
             sets: if sets.len() > 1 { sets } else { Vec::new() },
@@ -81,12 +96,35 @@ impl Report {
         }
     }
 
+    /// Adds the scores of each style: of the reference, and of every generated set.
+    pub(crate) fn add_styles(
+        &mut self,
+        mut reference: BTreeMap<String, Scores>,
+        sets: Vec<BTreeMap<String, Scores>>,
+    ) {
+        let mut generated: BTreeMap<String, Vec<Scores>> = BTreeMap::new();
+        for (style, scores) in sets.into_iter().flatten() {
+            generated.entry(style).or_default().push(scores);
+        }
+        let names = reference.keys().chain(generated.keys()).cloned();
+        for style in names.collect::<BTreeSet<String>>() {
+            let row = StyleRow {
+                reference: reference.remove(&style),
+                generated: generated.get(&style).map(|sets| mean_of(sets).0),
+            };
+            self.styles.insert(style, row);
+        }
+    }
+
     /// Writes a Markdown table, one metric a row, and the measuring below it.
     #[must_use]
     pub fn markdown(&self) -> String {
         let mut text = String::new();
         // Writing to a string can't fail.
-        let _ = self.table(&mut text).and_then(|()| self.notes(&mut text));
+        let _ = self
+            .table(&mut text)
+            .and_then(|()| self.style_table(&mut text))
+            .and_then(|()| self.notes(&mut text));
         text
     }
 
@@ -103,6 +141,33 @@ impl Report {
         Metric::all()
             .filter(|&metric| all.iter().any(|scores| scores.get(metric).is_some()))
             .try_for_each(|metric| self.row(text, metric))
+    }
+
+    /// One style a row, generated values before the reference's.
+    fn style_table(&self, text: &mut String) -> std::fmt::Result {
+        if self.styles.is_empty() {
+            return Ok(());
+        }
+        let titles = STYLE_COLUMNS.map(Metric::title).join(" | ");
+        writeln!(text, "\n| style, generated (reference) | pieces | {titles} |")?;
+        writeln!(text, "|---|---|{}", "---|".repeat(STYLE_COLUMNS.len()))?;
+        for (style, row) in &self.styles {
+            let value = |scores: &Option<Scores>, metric: Metric| {
+                let value = scores.as_ref().and_then(|scores| scores.get(metric));
+                let decimals = metric.decimals();
+                value.map_or("–".into(), |value| format!("{value:.decimals$}"))
+            };
+            let pieces =
+                |scores: &Option<Scores>| scores.as_ref().map_or(0, |scores| scores.pieces);
+            write!(text, "| {style} | {} ({}) |", pieces(&row.generated), pieces(&row.reference))?;
+            for metric in STYLE_COLUMNS {
+                let [generated, reference] =
+                    [&row.generated, &row.reference].map(|scores| value(scores, metric));
+                write!(text, " {generated} ({reference}) |")?;
+            }
+            writeln!(text)?;
+        }
+        Ok(())
     }
 
     fn row(&self, text: &mut String, metric: Metric) -> std::fmt::Result {
@@ -153,6 +218,26 @@ impl Report {
         }
         self.warnings.iter().try_for_each(|warning| writeln!(text, "Note: {warning}."))
     }
+}
+
+/// The mean of each metric over some sets that all have it, and half the width of its 95 %
+/// interval.
+fn mean_of(sets: &[Scores]) -> (Scores, BTreeMap<&'static str, f64>) {
+    let count = |get: fn(&Scores) -> usize| sets.iter().map(get).max().unwrap_or(0);
+    let mut scores = Scores::new(count(|set| set.pieces), count(|set| set.samples));
+    let mut margins = BTreeMap::new();
+    for metric in Metric::all() {
+        let values: Vec<f64> = sets.iter().filter_map(|set| set.get(metric)).collect();
+        // A mean over some of the sets would be compared with one over all.
+        if values.len() != sets.len() {
+            continue;
+        }
+        if let Some((mean, margin)) = mean_and_margin(&values) {
+            scores.set(metric, mean);
+            margins.extend(margin.map(|margin| (metric.key(), margin)));
+        }
+    }
+    (scores, margins)
 }
 
 #[cfg(test)]
@@ -224,5 +309,21 @@ mod tests {
         assert_contains(&report.markdown(), &rows);
         let json = serde_json::to_value(&report).unwrap();
         assert_eq!(json["sets"].as_array().unwrap().len(), 2);
+    }
+
+    #[test]
+    fn styles_have_a_row_each_with_the_mean_over_sets() {
+        let row = |accuracy| scores(&[(Metric::StyleAccuracy, accuracy), (Metric::Jerk, 9.0)]);
+        let styles = |rows: &[(&str, f64)]| {
+            rows.iter().map(|&(style, accuracy)| (style.to_owned(), row(accuracy))).collect()
+        };
+        let mut report = report(vec![scores(&[]), scores(&[])]);
+        let sets = vec![styles(&[("pop", 0.5), ("lock", 0.2)]), styles(&[("pop", 0.7)])];
+        report.add_styles(styles(&[("pop", 1.0)]), sets);
+        let rows = ["| pop | 42 (42) | 0.600 (1.000) | – (–) |", "| lock | 42 (0) | 0.200 (–) |"];
+        assert_contains(&report.markdown(), &rows);
+        let json = serde_json::to_value(&report).unwrap();
+        assert_eq!(json["styles"]["pop"]["generated"]["style_accuracy"], 0.6);
+        assert!(json["styles"]["lock"]["reference"].is_null());
     }
 }

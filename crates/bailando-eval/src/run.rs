@@ -14,7 +14,8 @@ use crate::{
     recitation::TrainingTakes,
     report::{Protocol, Report},
     scores::{Evaluator, ReferenceSpace},
-    sets::{MotionSet, Reference, TEST_SPLIT},
+    sets::{MotionSet, Reference, TEST_SPLIT, training_recordings},
+    style::StyleRecognition,
 };
 
 /// Names listed in a warning before the number of the others.
@@ -38,6 +39,11 @@ pub struct EvaluationOptions {
     pub kinetic: KineticForm,
     /// Number of folders of generated motions; none: `generated` itself is one.
     pub seeds: Option<NonZeroUsize>,
+    /// Data folders whose training recordings teach what styles look like; none: styles are not
+    /// recognised.
+    pub styles_from: Vec<PathBuf>,
+    /// The style that all generated motions were asked for; none: that of their pieces.
+    pub style: Option<String>,
     /// Seed of the random shifts behind the chance level.
     pub chance_seed: u64,
 }
@@ -59,6 +65,7 @@ pub fn evaluate(options: &EvaluationOptions) -> Result<Report, EvaluationError> 
         reference: ReferenceSpace::new(whole, options.clips, options.kinetic)?,
         beats: music_beats(&options.beats, &reference, &sets)?,
         takes: (!train.is_empty()).then(|| TrainingTakes::new(train)),
+        styles: style_recognition(&options.styles_from)?,
         seed: options.chance_seed,
     };
     let row = evaluator.score("the reference's own pieces", &reference.test)?;
@@ -66,7 +73,13 @@ pub fn evaluate(options: &EvaluationOptions) -> Result<Report, EvaluationError> 
         .iter()
         .map(|(folder, set)| evaluator.score(&folder.display().to_string(), set))
         .collect::<Result<_, _>>()?;
-    Ok(Report::new(scores, row, protocol(options, &evaluator), warnings))
+    let mut report = Report::new(scores, row, protocol(options, &evaluator), warnings);
+    if evaluator.styles.is_some() {
+        let own = evaluator.score_by_style(&reference.test);
+        let sets = sets.iter().map(|(_, set)| evaluator.score_by_style(set)).collect();
+        report.add_styles(own, sets);
+    }
+    Ok(report)
 }
 
 fn protocol(options: &EvaluationOptions, evaluator: &Evaluator) -> Protocol {
@@ -90,6 +103,20 @@ fn protocol(options: &EvaluationOptions, evaluator: &Evaluator) -> Protocol {
     }
 }
 
+fn style_recognition(folders: &[PathBuf]) -> Result<Option<StyleRecognition>, EvaluationError> {
+    if folders.is_empty() {
+        return Ok(None);
+    }
+    let sets = folders.iter().map(|folder| training_recordings(folder));
+    let sets: Vec<MotionSet> = sets.collect::<Result<_, _>>()?;
+    let pieces = sets.iter().flat_map(MotionSet::by_style);
+    let recordings: Vec<(&str, MotionSet)> = pieces.collect();
+    let takes = recordings
+        .iter()
+        .flat_map(|(style, set)| set.motions().into_iter().map(|motion| (*style, motion.poses())));
+    StyleRecognition::new(takes).map(Some)
+}
+
 /// A set of motions and its folder.
 type NamedSet = (PathBuf, MotionSet);
 
@@ -105,7 +132,11 @@ fn generated_sets(
     };
     let mut sets = Vec::with_capacity(folders.len());
     for folder in folders {
-        let set = MotionSet::load(&folder, split)?;
+        let mut set = MotionSet::load(&folder, split)?;
+        for piece in &mut set.pieces {
+            let own = || reference.info(&piece.id).and_then(|info| info.style.clone());
+            piece.style = options.style.clone().or_else(own);
+        }
         let set = match options.split {
             Some(_) => only_split(set, reference, split, &folder, warnings)?,
             None if matches!(options.beats, BeatsFrom::NewSongs(_)) => set,

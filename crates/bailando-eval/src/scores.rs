@@ -20,6 +20,7 @@ use crate::{
     recitation::TrainingTakes,
     sets::MotionSet,
     skeletal::SkeletalQuality,
+    style::StyleRecognition,
 };
 use bailando_motion::dance_beats;
 
@@ -143,11 +144,35 @@ pub(crate) struct Evaluator {
     pub(crate) beats: Option<MusicBeats>,
     /// For recitation; none: it is left out.
     pub(crate) takes: Option<TrainingTakes>,
+    /// For the recognition of styles; none: it is left out.
+    pub(crate) styles: Option<StyleRecognition>,
     /// Seed of the random shifts behind the chance level.
     pub(crate) seed: u64,
 }
 
 impl Evaluator {
+    /// Computes what a few pieces are enough for, for each style of a set.
+    pub(crate) fn score_by_style(&self, set: &MotionSet) -> BTreeMap<String, Scores> {
+        let styles = set.by_style().into_iter();
+        let score = |set: &MotionSet| {
+            let mut scores = Scores::new(set.pieces.len(), 0);
+            score_quality(&mut scores, &set.motions());
+            self.score_songs(&mut scores, set);
+            scores
+        };
+        styles.map(|(style, set)| (style.to_owned(), score(&set))).collect()
+    }
+
+    /// Scores pieces by what is known of their songs: beats and styles.
+    fn score_songs(&self, scores: &mut Scores, set: &MotionSet) {
+        if let Some(beats) = &self.beats {
+            score_beats(scores, set, beats, self.seed);
+        }
+        if let Some(styles) = &self.styles {
+            score_styles(scores, set, styles);
+        }
+    }
+
     /// Computes all metrics of a set; `name` is for errors.
     ///
     /// # Errors
@@ -157,9 +182,7 @@ impl Evaluator {
         let motions = set.motions();
         score_quality(&mut scores, &motions);
         score_rotations(&mut scores, &motions);
-        if let Some(beats) = &self.beats {
-            score_beats(&mut scores, set, beats, self.seed);
-        }
+        self.score_songs(&mut scores, set);
         if let Some(takes) = &self.takes {
             let counts = motions.iter().map(|motion| takes.recited(motion.poses()));
             let (recited, all) = counts.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
@@ -232,6 +255,17 @@ fn score_beats(scores: &mut Scores, set: &MotionSet, beats: &MusicBeats, seed: u
     set_means(scores, &each, &means);
 }
 
+fn score_styles(scores: &mut Scores, set: &MotionSet, styles: &StyleRecognition) {
+    let counts = set
+        .pieces
+        .iter()
+        .filter_map(|piece| styles.recognised(piece.style.as_deref()?, piece.motion.poses()));
+    let (recognised, all) = counts.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+    if all > 0 {
+        scores.set(Metric::StyleAccuracy, recognised as f64 / all as f64);
+    }
+}
+
 /// A metric that is the mean of a value of each motion or piece; none has no part in it.
 type Mean<T> = (Metric, fn(&T) -> Option<f64>);
 
@@ -292,6 +326,7 @@ mod tests {
             reference: ReferenceSpace::new(reference, clips, form)?,
             beats: None,
             takes: Some(TrainingTakes::new(reference)),
+            styles: None,
             seed: 0,
         };
         evaluator.score("generated", &MotionSet::from_motions(motions))

@@ -26,6 +26,8 @@ const TRAIN_SPLIT: &str = "train";
 pub(crate) struct Piece {
     pub(crate) id: String,
     pub(crate) motion: Rc<Motion>,
+    /// Of a recording, or asked for; none: not known.
+    pub(crate) style: Option<String>,
 }
 
 /// Motions, and the songs that they belong to.
@@ -37,9 +39,11 @@ pub(crate) struct MotionSet {
 impl MotionSet {
     /// Takes motions of one song each, with the song's name.
     pub(crate) fn from_motions(motions: Vec<Motion>) -> Self {
-        let pieces = motions
-            .into_iter()
-            .map(|motion| Piece { id: motion.name().to_owned(), motion: Rc::new(motion) });
+        let pieces = motions.into_iter().map(|motion| Piece {
+            id: motion.name().to_owned(),
+            motion: Rc::new(motion),
+            style: None,
+        });
         Self { pieces: pieces.collect() }
     }
 
@@ -68,6 +72,17 @@ impl MotionSet {
         motions.into_iter().map(Rc::as_ref).collect()
     }
 
+    /// The pieces of each style that is known.
+    pub(crate) fn by_style(&self) -> BTreeMap<&str, Self> {
+        let mut styles: BTreeMap<&str, Self> = BTreeMap::new();
+        for piece in &self.pieces {
+            if let Some(style) = &piece.style {
+                styles.entry(style).or_default().pieces.push(piece.clone());
+            }
+        }
+        styles
+    }
+
     pub(crate) fn has(&self, id: &str) -> bool {
         self.pieces.iter().any(|piece| piece.id == id)
     }
@@ -80,6 +95,8 @@ pub(crate) struct PieceInfo {
     #[serde(default)]
     split: String,
     motion: PathBuf,
+    #[serde(default)]
+    pub(crate) style: Option<String>,
     #[serde(default)]
     pub(crate) audio: Option<PathBuf>,
     #[serde(default)]
@@ -128,11 +145,21 @@ impl Index {
                 None => Rc::new(load_motion(&self.folder.join(&piece.motion))?),
             };
             known.insert(&piece.motion, Rc::clone(&motion));
-            let id = piece.id.clone();
-            set.pieces.push(Piece { id, motion });
+            let (id, style) = (piece.id.clone(), piece.style.clone());
+            set.pieces.push(Piece { id, motion, style });
         }
         Ok(set)
     }
+}
+
+/// Loads the recordings of a data folder's training split, for their styles.
+///
+/// # Errors
+/// [`EvaluationError::File`] if it is no data folder, or a file of it can't be read.
+pub(crate) fn training_recordings(folder: &Path) -> Result<MotionSet, EvaluationError> {
+    let index = Index::open(folder)?
+        .ok_or_else(|| EvaluationError::file(folder, "it is no data folder: no index.json"))?;
+    index.load(|piece| piece.split == TRAIN_SPLIT)
 }
 
 /// The reference: all recordings, and those of two splits.

@@ -1,5 +1,5 @@
-//! What a song's style shows in: timbre and how it changes, harmony, tempo. A few numbers a song, as
-//! there are few songs to learn styles from.
+//! What a song's style shows in: timbre and how it changes, harmony, tempo. A few numbers a song,
+//! as there are few songs to learn styles from.
 
 use std::ops::Range;
 
@@ -12,8 +12,9 @@ const CORRELATED: Range<usize> = 1..13;
 const BANDS: usize = 16;
 /// Where the first of them begins, in rows.
 const FIRST_LAG: f64 = 2.0;
-/// Number of [`song_statistics`]: of the MFCC means, spreads, spreads of the slopes and correlations;
-/// of the chroma the mean of each rank and one spread; means of the tempogram's bands.
+/// Number of [`song_statistics`]: of the MFCC means, spreads, spreads of the slopes and
+/// correlations; of the chroma the mean of each rank and one spread; means of the tempogram's
+/// bands.
 pub const STATISTICS: usize =
     3 * MFCC_COLUMNS.end + PAIRS + CHROMA_COLUMNS.end - CHROMA_COLUMNS.start + 1 + BANDS;
 /// Pairs of the correlated MFCC.

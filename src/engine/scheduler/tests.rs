@@ -124,6 +124,7 @@ impl Harness {
             options: asked.options,
             progress,
             stream: None,
+            longest: None,
             completion,
             submitted: Instant::now(),
             owner: 0,

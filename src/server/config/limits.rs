@@ -65,6 +65,9 @@ limits! {
     /// Requests that are processed at the same time
     max_concurrent_requests: NonZeroUsize ["max_concurrent_requests" u64]
         "BAILANDO_MAX_CONCURRENT_REQUESTS" = count(4);
+    /// Seconds of dance, all candidates counted, up to which a request is short: of several
+    /// workers, one is left to short requests
+    short_seconds: f64 ["short_seconds" f64] "BAILANDO_SHORT_SECONDS" = 60.0, zero_or_more;
     /// Requests that may wait for a worker; one more is answered 429 with Retry-After
     queue: usize ["queue" usize] "BAILANDO_QUEUE" = 32;
     /// Sequences that share a step of the model, each candidate counted; memory is taken for all of

@@ -6,7 +6,7 @@ use tracing::Instrument;
 
 use super::{
     budget::{Budget, Reservation},
-    turns::{Turn, Turns},
+    turns::{Stay, Turn, Turns},
 };
 use crate::server::{
     config::{Limits, Seconds},
@@ -15,8 +15,8 @@ use crate::server::{
     metrics::SharedMetrics,
 };
 
-/// A bounded number of running requests, and a bounded queue. Clients take turns, and none takes
-/// all workers or all of the queue.
+/// A bounded number of running requests, and a bounded queue. Clients take turns, none takes all
+/// workers or all of the queue, and where there are several workers, one is for short requests.
 #[derive(Debug)]
 pub(crate) struct Admission {
     turns: Turns,
@@ -30,8 +30,10 @@ impl Admission {
     pub(crate) fn new(limits: &Limits, metrics: SharedMetrics) -> Self {
         let workers = limits.max_concurrent_requests.get();
         let share = limits.share_of(limits.queue as u64);
+        let express = usize::from(workers > 1);
+        let for_all = workers - express;
         Self {
-            turns: Turns::new(workers, limits.share_of(workers as u64) as usize),
+            turns: Turns::new(for_all, limits.share_of(for_all as u64) as usize, express),
             workers: Budget::new(workers as u64, metrics.running.clone()),
             queue: Budget::shared(limits.queue as u64, share, metrics.queue_waiting.clone()),
             metrics,
@@ -43,7 +45,7 @@ impl Admission {
     /// # Errors
     /// [`ServerError::QueueFull`].
     pub(crate) fn check_room(&self, client: Client) -> Result<(), ServerError> {
-        let full = self.turns.is_full(client) && !self.queue.has_room_for(client, 1);
+        let full = self.turns.is_full(client, Stay::Short) && !self.queue.has_room_for(client, 1);
         match full {
             true => Err(self.queue_full()),
             false => Ok(()),
@@ -54,28 +56,28 @@ impl Admission {
     ///
     /// # Errors
     /// [`ServerError::QueueFull`].
-    pub(crate) async fn admit(&self, client: Client) -> Result<Permit, ServerError> {
+    pub(crate) async fn admit(&self, client: Client, stay: Stay) -> Result<Permit, ServerError> {
         let span = tracing::info_span!("stage", otel.name = "queue");
         let admitted = async {
-            if let Some(turn) = self.turns.try_take(client) {
+            if let Some(turn) = self.turns.try_take(client, stay) {
                 return Ok(self.permit(turn, Duration::ZERO).await);
             }
             let place = self.queue.try_reserve_for(client, 1);
             let _place = place.map_err(|_| self.queue_full())?;
-            Ok(self.admit_unqueued(client).await)
+            Ok(self.admit_unqueued(client, stay).await)
         };
         admitted.instrument(span).await
     }
 
     /// Waits for a worker without a place in the queue, for callers that are bounded elsewhere.
-    pub(crate) async fn admit_unqueued(&self, client: Client) -> Permit {
-        let (turn, waited) = self.turns.take(client).await;
+    pub(crate) async fn admit_unqueued(&self, client: Client, stay: Stay) -> Permit {
+        let (turn, waited) = self.turns.take(client, stay).await;
         self.permit(turn, waited).await
     }
 
     async fn permit(&self, turn: Turn, waited: Duration) -> Permit {
         self.metrics.waited(waited);
-        Permit { waited, worker: self.workers.reserve(1).await, _turn: turn }
+        Permit { waited, worker: self.workers.reserve(1).await, turn }
     }
 
     fn queue_full(&self) -> ServerError {
@@ -97,10 +99,15 @@ pub(crate) struct Permit {
     pub(crate) waited: Duration,
     // Given back before the turn, so that whose turn comes next finds it.
     worker: Reservation,
-    _turn: Turn,
+    turn: Turn,
 }
 
 impl Permit {
+    /// Whether it is the worker for short requests.
+    pub(crate) fn is_express(&self) -> bool {
+        self.turn.is_express
+    }
+
     /// Gives the permit back after a generation, whose time counts as a service time.
     pub(crate) fn complete(mut self) {
         self.worker.measure();
@@ -129,16 +136,19 @@ mod tests {
     #[tokio::test]
     async fn the_queue_is_bounded_and_moves_on() {
         let admission = admission();
-        let first = admission.admit(ANY).await.unwrap();
+        let first = admission.admit(ANY, Stay::Short).await.unwrap();
         let second = tokio::spawn({
             let admission = Arc::clone(&admission);
-            async move { admission.admit(ANY).await.map(|permit| permit.waited) }
+            async move { admission.admit(ANY, Stay::Short).await.map(|permit| permit.waited) }
         });
         while admission.queue.reserved() == 0 {
             tokio::task::yield_now().await;
         }
         assert!(admission.check_room(ANY).is_err());
-        assert!(matches!(admission.admit(ANY).await, Err(ServerError::QueueFull { queue: 1, .. })));
+        assert!(matches!(
+            admission.admit(ANY, Stay::Short).await,
+            Err(ServerError::QueueFull { queue: 1, .. })
+        ));
         drop(first);
         assert!(second.await.unwrap().is_ok());
         assert_eq!(admission.queue.reserved(), 0);
@@ -148,8 +158,8 @@ mod tests {
     #[tokio::test]
     async fn a_client_that_disconnects_leaves_the_queue() {
         let admission = admission();
-        let _first = admission.admit(ANY).await.unwrap();
-        let mut waiting = Box::pin(admission.admit(ANY));
+        let _first = admission.admit(ANY, Stay::Short).await.unwrap();
+        let mut waiting = Box::pin(admission.admit(ANY, Stay::Short));
         let mut context = Context::from_waker(Waker::noop());
         assert!(waiting.as_mut().poll(&mut context).is_pending());
         assert_eq!(admission.queue.reserved(), 1);
@@ -161,10 +171,10 @@ mod tests {
     async fn only_generations_tell_the_service_time() {
         let admission = admission();
         for _ in 0..3 {
-            drop(admission.admit(ANY).await.unwrap());
+            drop(admission.admit(ANY, Stay::Short).await.unwrap());
         }
         assert_eq!(admission.retry_after(), Seconds::new(2));
-        admission.admit(ANY).await.unwrap().complete();
+        admission.admit(ANY, Stay::Short).await.unwrap().complete();
         assert!(admission.retry_after() < Seconds::new(1));
     }
 }

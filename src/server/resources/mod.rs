@@ -11,7 +11,7 @@ use std::{sync::Arc, time::Duration};
 pub(crate) use self::{
     admission::{Admission, Permit},
     budget::{Budget, Reservation, Short},
-    turns::Turns,
+    turns::{Stay, Turns},
     uploads::{HeldBytes, UploadReservation, Uploads},
 };
 use super::{
@@ -57,7 +57,7 @@ impl Resources {
                 limits.share_of(memory),
                 metrics.answer_bytes.clone(),
             ),
-            job_workers: Turns::new(jobs as usize, limits.share_of(jobs) as usize),
+            job_workers: Turns::new(jobs as usize, limits.share_of(jobs) as usize, 0),
             // Metrics of their own, which nobody sees: these are not generations.
             writers: Admission::new(limits, Arc::new(Metrics::default())),
             memory: limits.answer_memory,

@@ -12,7 +12,8 @@ use crate::{
         layers::client::Client,
         metrics::SharedMetrics,
         options::RequestOptions,
-        resources::{Reservation, Resources},
+        resources::{Reservation, Resources, Stay},
+        response::{encoding::Encoding, negotiate::Shape},
         tracker::Work,
     },
 };
@@ -21,6 +22,7 @@ use crate::{
 #[derive(Debug)]
 pub(crate) struct Written {
     bytes: Vec<u8>,
+    encoding: Encoding,
     _room: Reservation,
 }
 
@@ -36,18 +38,26 @@ impl Written {
         work: Option<Arc<Work>>,
         dance: Arc<GeneratedMotion>,
         options: &RequestOptions,
-        format: OutputFormat,
+        Shape { format, encoding, .. }: Shape,
     ) -> Result<Arc<Self>, ServerError> {
-        let most = format.most_bytes(&dance, &options.writing());
+        let most = encoding.most_bytes(format.most_bytes(&dance, &options.writing()));
         let mut room = resources.reserve_response(client, most).await?;
         let options = options.clone();
         let write = move || {
-            let mut bytes = options.write(&dance, format)?;
+            let written = options.write(&dance, format)?;
+            let coded = encoding.encode(written);
+            let (mut bytes, encoding) =
+                coded.map_err(|error| ServerError::Internal(error.to_string()))?;
             bytes.shrink_to_fit();
             room.shrink_to(bytes.len() as u64);
-            Ok(Arc::new(Self { bytes, _room: room }))
+            Ok(Arc::new(Self { bytes, encoding, _room: room }))
         };
         blocking::write(metrics, work, write).await
+    }
+
+    /// How its bytes are coded.
+    pub(crate) fn encoding(&self) -> Encoding {
+        self.encoding
     }
 
     /// All of it, for one more reader.
@@ -63,24 +73,24 @@ impl Written {
 }
 
 /// How a dance is written: who asks for the same gets the same.
-type Shape = (OutputFormat, WriteOptions);
+type Kind = (OutputFormat, Encoding, WriteOptions);
 type Slot = Arc<tokio::sync::Mutex<Weak<Written>>>;
 
 /// What is being written of one dance, or was written and still has readers.
 #[derive(Debug, Default)]
 pub(crate) struct Answers {
-    // Held only to find or to put one; there are as many as there are shapes.
-    slots: Mutex<Vec<(Shape, Slot)>>,
+    // Held only to find or to put one; there are as many as there are kinds.
+    slots: Mutex<Vec<(Kind, Slot)>>,
 }
 
 impl Answers {
-    fn slot(&self, shape: Shape) -> Slot {
+    fn slot(&self, kind: Kind) -> Slot {
         let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, slot)) = slots.iter().find(|(known, _)| *known == shape) {
+        if let Some((_, slot)) = slots.iter().find(|(known, _)| *known == kind) {
             return Arc::clone(slot);
         }
         let slot = Slot::default();
-        slots.push((shape, Arc::clone(&slot)));
+        slots.push((kind, Arc::clone(&slot)));
         slot
     }
 
@@ -95,9 +105,9 @@ impl Answers {
         client: Client,
         dance: &Arc<GeneratedMotion>,
         options: &RequestOptions,
-        format: OutputFormat,
+        shape: Shape,
     ) -> Result<Arc<Written>, ServerError> {
-        let slot = self.slot((format, options.writing()));
+        let slot = self.slot((shape.format, shape.encoding, options.writing()));
         let mut slot = slot.lock_owned().await;
         if let Some(written) = slot.upgrade() {
             return Ok(written);
@@ -105,9 +115,9 @@ impl Answers {
         let (resources, metrics) = (Arc::clone(resources), Arc::clone(metrics));
         let (dance, options) = (Arc::clone(dance), options.clone());
         let written = tokio::spawn(async move {
-            let _place = resources.writers.admit(client).await?;
+            let _place = resources.writers.admit(client, Stay::Short).await?;
             let held = (&*resources, &metrics);
-            let written = Written::new(held, client, None, dance, &options, format).await?;
+            let written = Written::new(held, client, None, dance, &options, shape).await?;
             *slot = Arc::downgrade(&written);
             Ok(written)
         });

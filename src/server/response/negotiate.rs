@@ -4,13 +4,22 @@ use axum::http::{HeaderMap, header};
 
 use crate::{
     formats::OutputFormat,
-    server::{error::ServerError, options::shorten},
+    server::{
+        error::ServerError,
+        options::shorten,
+        response::{
+            accept::{quality_of_type, ranges},
+            encoding::Encoding,
+        },
+    },
 };
 
 /// How a response is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Shape {
     pub(crate) format: OutputFormat,
+    /// Content coding of a whole answer.
+    pub(crate) encoding: Encoding,
     /// Whether a stream is written as lines of JSON, not as server-sent events.
     pub(crate) lines: bool,
 }
@@ -45,19 +54,13 @@ pub(crate) fn events_as_lines(headers: &HeaderMap) -> Result<bool, ServerError> 
 
 /// Returns the index in `ours` that an `Accept` header prefers; 0 where it has no preference.
 fn preferred(headers: &HeaderMap, ours: &[&str]) -> Result<usize, ServerError> {
-    let ranges: Vec<Range> = headers
-        .get_all(header::ACCEPT)
-        .iter()
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(','))
-        .filter_map(Range::parse)
-        .collect();
+    let ranges = ranges(headers, &header::ACCEPT);
     if ranges.is_empty() {
         return Ok(0);
     }
     let mut best: Option<(f32, usize)> = None;
     for (index, content_type) in ours.iter().enumerate() {
-        let quality = quality(&ranges, content_type);
+        let quality = quality_of_type(&ranges, content_type);
         if quality > 0.0 && best.is_none_or(|(so_far, _)| quality > so_far) {
             best = Some((quality, index));
         }
@@ -73,47 +76,6 @@ fn preferred(headers: &HeaderMap, ours: &[&str]) -> Result<usize, ServerError> {
             types.join(", ")
         },
     })
-}
-
-/// One media range with its quality.
-struct Range {
-    kind: String,
-    quality: f32,
-}
-
-impl Range {
-    fn parse(text: &str) -> Option<Self> {
-        let mut parts = text.split(';').map(str::trim);
-        let kind = parts.next()?.to_ascii_lowercase();
-        if kind.is_empty() {
-            return None;
-        }
-        let quality = parts
-            .find_map(|part| part.strip_prefix("q=").or_else(|| part.strip_prefix("Q=")))
-            .map_or(Some(1.0), |text| text.parse().ok())?;
-        Some(Self { kind, quality })
-    }
-
-    /// Returns how closely the range names `content_type`; none if it does not cover it.
-    fn specificity(&self, content_type: &str) -> Option<u8> {
-        if self.kind == content_type {
-            Some(2)
-        } else if self.kind == "*/*" {
-            Some(0)
-        } else {
-            let family = self.kind.strip_suffix("/*")?;
-            (content_type.split('/').next() == Some(family)).then_some(1)
-        }
-    }
-}
-
-/// Returns the quality of `content_type` in the most specific range that covers it.
-fn quality(ranges: &[Range], content_type: &str) -> f32 {
-    ranges
-        .iter()
-        .filter_map(|range| Some((range.specificity(content_type)?, range.quality)))
-        .max_by_key(|(specificity, _)| *specificity)
-        .map_or(0.0, |(_, quality)| quality)
 }
 
 #[cfg(test)]

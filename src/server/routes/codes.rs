@@ -19,6 +19,7 @@ use crate::{
         blocking::blocking,
         error::ServerError,
         layers::client::Client,
+        resources::Stay,
         response::documented::{CodePoseErrors, CodebookErrors},
         state::SharedState,
     },
@@ -110,7 +111,7 @@ async fn shown(
 ) -> Result<Vec<u8>, ServerError> {
     let engine = Arc::clone(state.engine()?);
     state.resources.admission.check_room(client)?;
-    let permit = state.resources.admission.admit(client).await?;
+    let permit = state.resources.admission.admit(client, Stay::Short).await?;
     let fps = engine.manifest().fps;
     let metrics = Arc::clone(&state.metrics);
     // A task of its own: the permit is held until the work has ended.

@@ -19,7 +19,7 @@ use crate::{
         response::{
             answer::Written,
             documented::{GenerationErrors, MotionResponse},
-            paced, warnings,
+            encoding, paced, warnings,
         },
         state::SharedState,
         upload::body::IncomingBody,
@@ -57,16 +57,15 @@ async fn render(
 ) -> Result<Rendered, ServerError> {
     let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
     let made = async {
-        let permit = state.resources.admission.admit(order.client).await?;
-        let (dance, work) = work::dance(state, &mut order, permit, "generate").await?;
+        let (dance, work) = work::dance_in_turn(state, &mut order, "generate").await?;
         let dance = Arc::new(dance);
-        let (format, held) = (order.shape.format, (&*state.resources, &state.metrics));
+        let (shape, held) = (order.shape, (&*state.resources, &state.metrics));
         let (client, options) = (order.client, &order.options);
         let writing = (Some(Arc::clone(&work)), Arc::clone(&dance));
         // Slow readers hold memory: the permit is free only once there is some.
-        let written = Written::new(held, client, writing.0, writing.1, options, format).await?;
+        let written = Written::new(held, client, writing.0, writing.1, options, shape).await?;
         work.end().into_iter().for_each(Permit::complete);
-        Ok(Rendered::new(&dance, written, format))
+        Ok(Rendered::new(&dance, written, shape.format))
     }
     .await;
     order.waiting.answered();
@@ -115,6 +114,7 @@ impl Rendered {
         if let Some(tail) = self.tail.and_then(|tail| HeaderValue::try_from(tail).ok()) {
             headers.insert(TAIL, tail);
         }
+        encoding::note(&mut headers, self.written.encoding());
         times(&mut headers, &self.timings);
         warnings::append(&mut headers, &self.warnings);
         if self.format != OutputFormat::Json {
@@ -125,7 +125,9 @@ impl Rendered {
             }
         }
         let body = paced::from_bytes(bytes, under_way, state.pace(), taken);
-        (Held::Paced, headers, body).into_response()
+        let mut response = (Held::Paced, headers, body).into_response();
+        response.extensions_mut().insert(self.written.encoding());
+        response
     }
 }
 

@@ -194,3 +194,27 @@ fn recitation_distinguishes_training_takes_from_others() {
     assert_eq!(report.generated.get(Metric::Recitation), Some(1.0));
     assert!(report.reference.get(Metric::Recitation).unwrap() < 0.2);
 }
+
+#[test]
+fn styles_of_recordings_are_recognised_that_were_not_learned() {
+    let (Some(salsa), Some(street)) =
+        (bailando_testkit::shared("data/salsa"), bailando_testkit::shared("data/street"))
+    else {
+        return;
+    };
+    let options = EvaluationOptions {
+        split: Some("test".into()),
+        clips: Clips::Windows { length: 300, stride: 150 },
+        styles_from: vec![salsa, street.clone()],
+        ..options(&street, &street)
+    };
+    let report = evaluate(&options).unwrap();
+    let accuracy = report.reference.get(Metric::StyleAccuracy).unwrap();
+    // Eleven styles: chance is 0.09.
+    assert!(accuracy > 0.75, "{accuracy}");
+    let pop = report.styles["pop"].reference.as_ref().unwrap();
+    assert!(pop.get(Metric::StyleAccuracy).unwrap() > 0.9);
+    // All of them asked for as one style: what looks like it is the part that is of it.
+    let as_salsa = evaluate(&EvaluationOptions { style: Some("salsa".into()), ..options }).unwrap();
+    assert!(as_salsa.generated.get(Metric::StyleAccuracy).unwrap() < 0.1);
+}

@@ -47,6 +47,8 @@ pub(crate) fn options(generated: &Path, reference: &Path) -> EvaluationOptions {
         clips: Clips::default(),
         kinetic: KineticForm::Published,
         seeds: None,
+        styles_from: Vec::new(),
+        style: None,
         chance_seed: 0,
     }
 }

@@ -11,7 +11,7 @@ use crate::{
         error::ServerError,
         intake::Order,
         jobs::{Finished, Job, JobState},
-        resources::Permit,
+        resources::{Permit, Stay},
         response::answer::Answers,
         state::SharedState,
         work,
@@ -95,8 +95,8 @@ async fn run(
     job: &Job,
 ) -> Result<GeneratedMotion, ServerError> {
     let ordered = Instant::now();
-    let _slot = state.resources.job_workers.take(job.owner).await;
-    let mut permit = state.resources.admission.admit_unqueued(job.owner).await;
+    let _slot = state.resources.job_workers.take(job.owner, Stay::Long).await;
+    let mut permit = state.resources.admission.admit_unqueued(job.owner, Stay::Long).await;
     permit.waited = ordered.elapsed();
     job.turn(JobState::Running);
     let limit = state.limits.job_timeout;

@@ -23,7 +23,8 @@ use crate::server::{
     options::{OutputOptions, RequestOptions},
     response::{
         documented::{JobErrors, JobResultErrors, MotionResponse, NewJobErrors},
-        negotiate,
+        encoding::Encoding,
+        negotiate::{self, Shape},
     },
     routes::generate::Rendered,
     state::SharedState,
@@ -138,6 +139,7 @@ pub(crate) async fn result(
         }
     };
     let options = finished.options.written_as(&asked)?;
+    let encoding = Encoding::preferred(&headers);
     let format = match asked.format {
         Some(format) => format,
         None => negotiate::dance(&headers, finished.format)?,
@@ -145,7 +147,8 @@ pub(crate) async fn result(
     let under_way = state.lifecycle.go_on();
     let rendered = state.in_time(async {
         let (dance, held) = (&finished.dance, (&state.resources, &state.metrics));
-        let written = finished.answers.get(held, client, dance, &options, format).await?;
+        let shape = Shape { format, encoding, lines: false };
+        let written = finished.answers.get(held, client, dance, &options, shape).await?;
         Ok(Rendered::new(dance, written, format))
     });
     let rendered = rendered.await?;

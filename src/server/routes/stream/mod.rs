@@ -24,7 +24,7 @@ use crate::{
         intake::{self, Order, Purpose},
         layers::envelope::{Held, request_id},
         options::RequestOptions,
-        resources::{Permit, Reservation},
+        resources::{Permit, Reservation, Stay},
         response::{
             documented::{GenerationErrors, StreamResponse},
             negotiate::{EVENTS, LINES},
@@ -106,18 +106,38 @@ async fn open(
     }
 }
 
-/// Waits for a permit, submits the request, and waits until the engine knows what the motion will
-/// be.
+/// A stream that has begun: what the motion will be, its events, and room for them.
+type Begun = (Opening, mpsc::UnboundedReceiver<Event>, Reservation);
+
+/// Waits for a permit and begins.
 async fn begin(
     state: &SharedState,
     order: &mut Order,
     until: Instant,
-) -> Result<(Opening, mpsc::UnboundedReceiver<Event>, Reservation), ServerError> {
-    let permit = state.resources.admission.admit(order.client).await?;
+) -> Result<Begun, ServerError> {
+    let permit = order.admit(state, Stay::Short).await?;
+    let is_express = permit.is_express();
+    match begin_with(state, order, permit, until).await {
+        Err(error) if is_express && error.is_too_long() => {
+            let permit = order.admit(state, Stay::Long).await?;
+            begin_with(state, order, permit, until).await
+        }
+        other => other,
+    }
+}
+
+/// Submits the request, and waits until the engine knows what the motion will be.
+async fn begin_with(
+    state: &SharedState,
+    order: &mut Order,
+    permit: Permit,
+    until: Instant,
+) -> Result<Begun, ServerError> {
     let waited = permit.waited;
+    let most = order.most_seconds(&state.limits, permit.is_express());
     let (request, work) = order.begin(state, permit).await?;
     let fps = order.engine.manifest().fps as usize;
-    let most = bytes_of(order, order.most_seconds(&state.limits) as usize * fps);
+    let most = bytes_of(order, most as usize * fps);
     let mut room = state.resources.reserve_response(order.client, most).await?;
     let (sender, mut events) = mpsc::unbounded_channel();
     let stream = Arc::new(Forward { waited, sender: sender.clone() });
