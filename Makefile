@@ -16,7 +16,7 @@ LINTING := RUSTC_WORKSPACE_WRAPPER=clippy-driver \
 	CLIPPY_ARGS=-D__CLIPPY_HACKERY__warnings__CLIPPY_HACKERY__
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run build check test web web-test fuzz fmt deny lint-deploy chaos soak clean docker toolchain
+.PHONY: help setup run build check test web web-test book fuzz fmt deny lint-deploy chaos soak clean docker toolchain
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -61,6 +61,9 @@ web: $(WEB_MODULES) ## build the viewer of web/ into web/dist, which is committe
 web-test: toolchain setup $(WEB_MODULES) ## test the viewer in a real browser (node, npm, chromium)
 	$(CARGO) build --locked --bin bailando
 	cd web && npm run check && npm test && npm run e2e
+
+book: ## build the documentation as a book into target/book, and check its links (mdbook, python3)
+	@scripts/build-book.sh
 
 fuzz: ## fuzz every target for SECONDS=60 (needs a nightly compiler and cargo-fuzz)
 	@scripts/fuzz.sh $(SECONDS) $(TARGETS)

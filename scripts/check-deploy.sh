@@ -20,6 +20,8 @@ tools=(
     check-jsonschema==0.39.0
     kubernetes-validate==1.37.0
     promql-parser==0.12.0
+    # Helm's own code as a library: renders charts without its program.
+    helm-python-sdk==0.2.2
     PyYAML==6.0.4
 )
 # The oldest with every field that we use, and the newest that kubernetes-validate has.
@@ -76,6 +78,12 @@ validate_rendered() {
     kubectl kustomize "$1" >"$work/rendered.yaml" && validate_kubernetes "$work/rendered.yaml"
 }
 
+# Everything that the chart makes of several settings; KEDA's and Prometheus' own kinds have no schema here.
+validate_helm() {
+    rm -rf "$work/helm"
+    python3 scripts/check-helm.py deploy/helm "$work/helm" && validate_kubernetes "$work"/helm/*.yaml
+}
+
 validate_compose() {
     docker compose --file deploy/docker-compose.yml "$@" --profile monitoring config --quiet
 }
@@ -109,11 +117,14 @@ check_with "docker compose version" "compose files with a key (docker compose)" 
 shopt -s extglob
 check "manifests (schemas of Kubernetes ${kubernetes_versions[*]})" \
     validate_kubernetes deploy/kubernetes/!(kustomization).yaml
+check_with "docker compose version" "compose file of several servers (docker compose)" \
+    docker compose --env-file deploy/cluster.env.example --file deploy/docker-compose.cluster.yml config --quiet
 check_with "kubectl version --client" "manifests as applied (kustomize)" validate_rendered deploy/kubernetes
 check_with "kubectl version --client" "manifests with a key as applied (kustomize)" \
     validate_rendered deploy/kubernetes-api-key
 check_with "kubectl version --client" "the same without fixed users" \
     validate_rendered deploy/kubernetes-any-user
+check "Helm chart (rendered in five ways, schemas of Kubernetes ${kubernetes_versions[*]})" validate_helm
 check "manifests name the version" versions_agree
 check "Prometheus and provisioning (YAML)" parse_yaml deploy/prometheus.yml deploy/prometheus/*.yml \
     deploy/grafana/provisioning/*/*.yml

@@ -7,6 +7,7 @@
 #   npm install --prefix READERS three @pixiv/three-vrm @pixiv/three-vrm-animation gltf-validator \
 #       mmd-parser assimpjs
 #   python3 -m venv READERS/venv && READERS/venv/bin/pip install numpy bvhio bvhtoolbox
+#   apt-get install godot3-server     # Debian 12; no folder
 #   python3 -m venv READERS/blender && READERS/blender/bin/pip install bpy   # 350 MB
 set -euo pipefail
 
@@ -32,6 +33,19 @@ for format in vrma vmd npz; do
     make_dance "dance.$format" "$@"
 done
 (cd "$dances" && wc -c -- *.* | sort -n)
+
+# Godot samples curves while it imports: at 60 a second, as the dance has it.
+if command -v godot3-server > /dev/null; then
+    mkdir "$dances/godot"
+    cp "$dances/smpl.glb" "$dances/godot/dance.glb"
+    cp "$here/godot.gd" "$dances/godot/"
+    printf 'config_version=4\n' > "$dances/godot/project.godot"
+    printf '[remap]\nimporter="scene"\ntype="PackedScene"\n[params]\n%s\n%s\n' \
+        animation/fps=60 animation/optimizer/enabled=false > "$dances/godot/dance.glb.import"
+    # The editor imports and does not always end.
+    timeout 100 godot3-server --path "$dances/godot" --editor --quit > "$dances/godot/log" 2>&1 || true
+    timeout 100 godot3-server --path "$dances/godot" --script godot.gd >> "$dances/godot/log" 2>&1 || true
+fi
 
 status=0
 if [ -d "$readers/node_modules" ] && command -v node > /dev/null; then

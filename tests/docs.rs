@@ -19,8 +19,8 @@ use std::{
 use bailando_testkit::{fixture, project};
 
 /// What commands read. These are copies, since some commands write into the same folders.
-const COPIES: [&str; 7] =
-    ["Makefile", "benches", "deploy", "docs", "models", "scripts", "tests/fixtures"];
+const COPIES: [&str; 8] =
+    ["Makefile", "benches", "deploy", "docs", "examples", "models", "scripts", "tests/fixtures"];
 const PRESETS: &str = "train/presets";
 /// The longest that a block may take: far more than it needs on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -36,7 +36,7 @@ struct Block {
 
 fn documents() -> Vec<PathBuf> {
     let mut documents = Vec::new();
-    for folder in ["", "docs", "deploy"] {
+    for folder in ["", "docs", "docs/engines", "deploy", "examples"] {
         for entry in fs::read_dir(project(folder)).unwrap() {
             let path = Path::new(folder).join(entry.unwrap().file_name());
             if path.extension().is_some_and(|extension| extension == "md") {
@@ -269,6 +269,30 @@ fn commands_of_the_docs_run() {
     }
     println!("{run} blocks of commands run, {left_out} not");
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+/// The book is built, and every link and heading in it exists.
+#[test]
+fn the_book_is_whole() {
+    if !Command::new("mdbook").arg("--version").output().is_ok_and(|said| said.status.success()) {
+        println!("skipped: mdbook is not installed (scripts/build-book.sh says how)");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let build = Command::new(project("scripts/build-book.sh")).arg(folder.path()).output().unwrap();
+    assert!(build.status.success(), "{build:?}");
+}
+
+/// Every page of `docs` is in the book's table of contents.
+#[test]
+fn the_book_has_every_page() {
+    let contents = fs::read_to_string(project("docs/SUMMARY.md")).unwrap();
+    for document in documents() {
+        let Ok(page) = document.strip_prefix("docs") else { continue };
+        let link = format!("]({})", page.display());
+        let is_page = page != Path::new("SUMMARY.md");
+        assert!(!is_page || contents.contains(&link), "docs/SUMMARY.md lacks {}", page.display());
+    }
 }
 
 /// Links between the documents lead to files that exist.

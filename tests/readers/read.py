@@ -6,7 +6,9 @@ Usage: read.py FOLDER; prints a line per reader and file, and fails where one is
 
 import csv
 import importlib
+import json
 import pathlib
+import re
 import sys
 import tempfile
 
@@ -97,6 +99,18 @@ def with_numpy():
     tell("numpy", path, dance.error(range(frames), seen))
 
 
+def with_godot():
+    path = folder / "godot" / "dance.json"
+    if not path.exists():
+        print(f"{'Godot':12} not installed, or it did not import: skipped")
+        return
+    rows = json.loads(path.read_text())
+    # It writes an underscore before the digits of a name.
+    wanted = [re.sub(r"(\d)", r"_\1", name) for name in names("smpl")]
+    seen = [[joints[name] for name in wanted] for _, joints in rows]
+    tell("Godot", folder / "smpl.glb", dance.error([frame for frame, _ in rows], seen))
+
+
 def with_bpy(bpy):
     """Blender is z up, and imports make it so; frames are its own."""
     jobs = files("*.bvh") + files("*.glb") + files("*.fbx")
@@ -130,6 +144,7 @@ def with_bpy(bpy):
 
 
 with_numpy()
+with_godot()
 for name, read in [("bvhio", with_bvhio), ("bvhtoolbox", with_bvhtoolbox), ("bpy", with_bpy)]:
     if module := package(name):
         read(module)
