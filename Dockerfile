@@ -43,7 +43,7 @@ LABEL org.opencontainers.image.title="bailando" \
       org.opencontainers.image.licenses="MIT"
 # hadolint ignore=DL3008
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends libstdc++6 \
+    && apt-get install --yes --no-install-recommends ca-certificates libstdc++6 \
     && rm -rf /var/lib/apt/lists/*
 COPY --from=onnxruntime /opt/onnxruntime/LICENSE /opt/onnxruntime/ThirdPartyNotices.txt \
      /usr/local/share/doc/onnxruntime/
@@ -56,8 +56,12 @@ COPY --from=builder /build/LICENSE ./
 COPY --from=builder /build/models/default models/default
 COPY --from=builder /build/models/beats/LICENCE.md /build/models/beats/manifest.json models/beats/
 COPY --from=builder /build/target/release/bailando /usr/local/bin/
-# A number, so that an orchestrator can check that it is not root. Any other user will do: nothing is
-# written, and everything is readable by all.
+# Jobs, songs and results: whoever runs the image may write there, and nowhere else. Where even that
+# is read-only, jobs are kept in memory.
+RUN install -d -m 1777 /app/bailando-data
+VOLUME /app/bailando-data
+# A number, so that an orchestrator can check that it is not root. Any other user will do: everything
+# is readable by all.
 USER 10001:10001
 EXPOSE 8080
 STOPSIGNAL SIGTERM

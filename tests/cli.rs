@@ -78,10 +78,39 @@ fn npy<T: ndarray_npy::ReadNpyExt>(path: &str) -> T {
 fn help_is_the_reference() {
     let help = |arguments: &[&str]| succeeds(bailando(&project(""), arguments)).0;
     insta::assert_snapshot!("help", help(&["--help"]));
-    for command in ["serve", "generate", "features", "evaluate", "codebook", "bench", "healthcheck"]
-    {
+    let commands =
+        ["serve", "generate", "batch", "features", "evaluate", "codebook", "bench", "healthcheck"];
+    for command in commands {
         insta::assert_snapshot!(format!("help_{command}"), help(&[command, "--help"]));
     }
+}
+
+/// What failed is reported and tried again; what is there is not made twice.
+#[test]
+fn a_batch_makes_what_is_missing_and_says_what_failed() {
+    let folder = folder();
+    let songs = folder.path().join("songs/below");
+    fs::create_dir_all(&songs).expect("a folder");
+    fs::copy(project(WAV), songs.join("good.wav")).expect("a song");
+    fs::write(songs.join("bad.wav"), "no song").expect("a file");
+    let [songs, out] = ["songs", "out"].map(|name| path(&folder, name));
+    let batch = format!("batch {songs} --out-dir {out} --duration-s 2 --seed 1");
+    let (code, errors) = fail(&batch);
+    assert_eq!(code, Some(1), "{errors}");
+    assert!(errors.contains("bad.wav") && errors.contains("1 of 2 songs failed"), "{errors}");
+    let report = json(&format!("{out}/report.json"));
+    assert_eq!(report["made"].as_array().map(Vec::len), Some(1), "{report}");
+    let why = report["failed"][0]["error"].as_str().unwrap_or_default();
+    assert!(!why.is_empty(), "{report}");
+    let made = fs::read(format!("{out}/below/good.bvh")).expect("a dance");
+    assert!(made.starts_with(b"HIERARCHY"));
+    assert!(!Path::new(&format!("{out}/below/bad.bvh.part")).exists());
+    fs::remove_file(format!("{songs}/below/bad.wav")).expect("it is there");
+    succeed(&batch);
+    let report = json(&format!("{out}/report.json"));
+    assert_eq!(report["there"].as_array().map(Vec::len), Some(1), "{report}");
+    let nobody = format!("{batch} --server ftp://nobody");
+    assert_eq!(fail(&nobody).0, Some(2));
 }
 
 /// A bench of the shortest kind: every figure is there, none is judged.

@@ -1,5 +1,6 @@
 //! The command line: parse, call, print.
 
+mod batch;
 mod bench;
 mod codebook;
 mod console;
@@ -38,6 +39,8 @@ enum Command {
     Serve(Box<serve::ServeArgs>),
     /// Make dances from audio files, or codes and positions from feature rows
     Generate(Box<generate::GenerateArgs>),
+    /// Make dances for a catalogue of songs; run again, it makes what is missing
+    Batch(Box<batch::BatchArgs>),
     /// Write a song's music features as a NumPy file
     Features(features::FeaturesArgs),
     /// Compare generated motion with recordings: FID, diversity, beat align score and more
@@ -64,6 +67,7 @@ pub(crate) fn run() -> ExitCode {
     let result = match command {
         Command::Serve(args) => serve::run(&args),
         Command::Generate(args) => generate::run(&args),
+        Command::Batch(args) => batch::run(&args),
         Command::Features(args) => features::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Study(args) => study::run(&args),

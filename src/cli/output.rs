@@ -110,7 +110,10 @@ impl OutputArgs {
             (Some(_), None, _) => {
                 Err(Usage("several songs need --out-dir instead of --output".into()).into())
             }
-            (_, Some(folder), _) => self.targets_in(folder, inputs),
+            (_, Some(folder), _) => {
+                let format = self.format.unwrap_or(FileFormat::Motion(OutputFormat::Bvh));
+                targets_in(folder, format, inputs)
+            }
             (None, None, _) => {
                 Err(Usage("name the result: --output FILE or --out-dir DIR".into()).into())
             }
@@ -136,35 +139,6 @@ impl OutputArgs {
         }
     }
 
-    /// One file for each song. Of two that would be written to one file, the first has it.
-    fn targets_in(&self, folder: &Path, inputs: &[Input]) -> anyhow::Result<Vec<Target>> {
-        let format = self.format.unwrap_or(FileFormat::Motion(OutputFormat::Bvh));
-        let mut songs: HashMap<PathBuf, &Path> = HashMap::new();
-        let mut targets = Vec::with_capacity(inputs.len());
-        for Input { path, below } in inputs {
-            // Appended, not `with_extension`: song names hold dots of their own.
-            let mut name = match path.as_os_str() == STANDARD {
-                true => "stdin".into(),
-                false => path.file_stem().unwrap_or_default().to_os_string(),
-            };
-            name.push(".");
-            name.push(format.extension());
-            let place = folder.join(below);
-            fs::create_dir_all(&place).with_context(|| place.display().to_string())?;
-            let target = place.join(name);
-            targets.push(match songs.get(&target) {
-                None => Ok((target.clone(), format)),
-                Some(other) => Err(Usage(format!(
-                    "its result would replace that of {}, {}: rename one of the songs",
-                    other.display(),
-                    target.display()
-                ))),
-            });
-            songs.entry(target).or_insert(path);
-        }
-        Ok(targets)
-    }
-
     /// Writes `dance` to `path`.
     pub(super) fn write(
         &self,
@@ -180,6 +154,38 @@ impl OutputArgs {
         writing.json.rotations = self.include_rotations;
         write_file(path, format.write(dance, &writing)?)
     }
+}
+
+/// One file for each song. Of two that would be written to one file, the first has it.
+pub(super) fn targets_in(
+    folder: &Path,
+    format: FileFormat,
+    inputs: &[Input],
+) -> anyhow::Result<Vec<Target>> {
+    let mut songs: HashMap<PathBuf, &Path> = HashMap::new();
+    let mut targets = Vec::with_capacity(inputs.len());
+    for Input { path, below } in inputs {
+        // Appended, not `with_extension`: song names hold dots of their own.
+        let mut name = match path.as_os_str() == STANDARD {
+            true => "stdin".into(),
+            false => path.file_stem().unwrap_or_default().to_os_string(),
+        };
+        name.push(".");
+        name.push(format.extension());
+        let place = folder.join(below);
+        fs::create_dir_all(&place).with_context(|| place.display().to_string())?;
+        let target = place.join(name);
+        targets.push(match songs.get(&target) {
+            None => Ok((target.clone(), format)),
+            Some(other) => Err(Usage(format!(
+                "its result would replace that of {}, {}: rename one of the songs",
+                other.display(),
+                target.display()
+            ))),
+        });
+        songs.entry(target).or_insert(path);
+    }
+    Ok(targets)
 }
 
 /// Checks that a file's folder exists, before hours of work instead of after.

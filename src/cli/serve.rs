@@ -1,7 +1,7 @@
 //! `bailando serve`: the HTTP server.
 
 use anyhow::Context;
-use bailando::server::{self, ServeError, ServerConfig};
+use bailando::server::{self, ServeError, ServerConfig, StorageError};
 
 use super::console::Usage;
 
@@ -19,6 +19,9 @@ pub(super) fn run(args: &ServeArgs) -> anyhow::Result<()> {
         server::init_telemetry(args.config.json_output, args.config.otlp_endpoint.as_deref())?;
     match server::start(&args.config) {
         Err(ServeError::Limits(contradiction)) => Err(Usage(contradiction.to_string()).into()),
+        Err(ServeError::Storage(
+            wrong @ (StorageError::NothingShared | StorageError::NoSecret),
+        )) => Err(Usage(wrong.to_string()).into()),
         ended => ended.context("the server failed"),
     }
 }

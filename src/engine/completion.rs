@@ -37,7 +37,9 @@ impl<T> Pending<T> {
         }
     }
 
-    pub(super) fn ready(result: Result<T, EngineError>) -> Self {
+    /// A result that is there already.
+    #[must_use]
+    pub fn ready(result: Result<T, EngineError>) -> Self {
         let (sender, receiver) = oneshot::channel();
         // The receiver is right here.
         let _ = sender.send(result);

@@ -34,6 +34,26 @@ pub const DEFAULT_BATCH: NonZeroUsize = NonZeroUsize::MIN.saturating_add(15);
 /// threads agree (`bailando bench`).
 const SMALL_GPT: u64 = 8 << 20;
 
+/// Checks `options` against a model of this SHA-256 whose steps have so many rows.
+///
+/// # Errors
+/// [`EngineError::Option`] names the first option that does not fit.
+pub fn check_options(
+    options: &GenerationOptions,
+    manifest: &Manifest,
+    model_sha256: &str,
+    rows: usize,
+) -> Result<(), EngineError> {
+    options.check(manifest, rows)?;
+    match &options.continue_from {
+        Some(tail) if !tail.is_of(model_sha256) => Err(EngineError::Option {
+            name: "continue_from",
+            problem: "it comes from a dance of another model".into(),
+        }),
+        _ => Ok(()),
+    }
+}
+
 /// Settings of an [`Engine`].
 #[derive(Clone, Debug)]
 pub struct EngineConfig {
@@ -177,14 +197,8 @@ impl Engine {
     /// # Errors
     /// [`EngineError::Option`] names the first option that does not fit.
     pub fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
-        options.check(self.manifest(), self.shared.preparer.rows)?;
-        match &options.continue_from {
-            Some(tail) if !tail.is_of(self.model_sha256()) => Err(EngineError::Option {
-                name: "continue_from",
-                problem: "it comes from a dance of another model".into(),
-            }),
-            _ => Ok(()),
-        }
+        let rows = self.shared.preparer.rows;
+        check_options(options, self.manifest(), self.model_sha256(), rows)
     }
 
     /// Submits a request. The returned future gives its output; dropping it cancels the request,

@@ -42,7 +42,7 @@ mod window;
 pub use crate::model::{MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE};
 pub use completion::{Generation, Pending};
 pub use effort::DecodeEffort;
-pub use engine::{DEFAULT_BATCH, Engine, EngineConfig};
+pub use engine::{DEFAULT_BATCH, Engine, EngineConfig, check_options};
 pub use error::EngineError;
 pub use observer::Observer;
 pub use options::GenerationOptions;

@@ -59,15 +59,21 @@ impl RequestOptions {
             let all = names(OPTIONS.iter());
             return refuse(format!("there is no such option; there are {all}"));
         };
-        if self.given.contains(&option.name) {
+        if self.given.iter().any(|(given, _)| *given == option.name) {
             return refuse("it was given more than once".to_owned());
         }
-        self.given.push(option.name);
+        self.given.push((option.name, text.to_owned()));
         match option.check(text) {
             Ok(()) if (option.read)(self, text) => Ok(()),
             Ok(()) => refuse(format!("got {text:?}, expected {}", option.accepts)),
             Err(problem) => refuse(problem),
         }
+    }
+
+    /// The options that were given, as texts that [`RequestOptions::set`] takes again.
+    #[must_use]
+    pub fn given(&self) -> &[(&'static str, String)] {
+        &self.given
     }
 
     /// Returns how a result is written.
@@ -96,7 +102,7 @@ impl RequestOptions {
     pub(crate) fn written_as(&self, other: &Self) -> Result<Self, OptionError> {
         let outputs = || OPTIONS.iter().filter(|option| option.is_output());
         let is_output = |name: &str| outputs().any(|output| output.name == name);
-        if let Some(name) = other.given.iter().find(|name| !is_output(name)) {
+        if let Some((name, _)) = other.given.iter().find(|(name, _)| !is_output(name)) {
             let outputs = names(outputs());
             return Err(OptionError {
                 name: (*name).to_owned(),

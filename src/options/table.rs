@@ -106,8 +106,8 @@ macro_rules! options {
         pub struct RequestOptions {
             $(pub(crate) $sampling: Option<$sampling_type>,)+
             $($(pub(crate) $name: Option<$type>,)+)+
-            /// Names of the options that were given.
-            pub(super) given: Vec<&'static str>,
+            /// Names and texts of the options that were given.
+            pub(super) given: Vec<(&'static str, String)>,
         }
 
         /// All options, in the order in which they are shown.

@@ -1,5 +1,7 @@
 //! Errors as callers see them: the one place where they become a status and an `error_type`.
 
+use std::borrow::Cow;
+
 use axum::{
     body::Body,
     http::{HeaderValue, Response, StatusCode, header},
@@ -132,6 +134,13 @@ errors! {
         SERVICE_UNAVAILABLE "job_timeout" JobTimeout { limit: Seconds, retry_after: Seconds }
             => "the job was not done within {limit} s of work: send a shorter part, or {}",
             again(retry_after);
+        SERVICE_UNAVAILABLE "job_store" JobStore { retry_after: Seconds }
+            => "jobs cannot be kept or found now, for their store does not answer: {}",
+            again(retry_after);
+        SERVICE_UNAVAILABLE "job_bytes" JobBytes { bytes: ByteSize, retry_after: Seconds }
+            => "songs and results take all of their space, {bytes}: fetch and delete finished jobs, \
+                or {}",
+            again(retry_after);
         SERVICE_UNAVAILABLE "answer_memory" AnswerMemory { memory: ByteSize, retry_after: Seconds }
             => "unread responses take all of their memory, {memory}: {}", again(retry_after);
         SERVICE_UNAVAILABLE "draining" Draining { retry_after: Seconds }
@@ -171,6 +180,13 @@ errors! {
             UploadTimeout { idle: Seconds, total: Seconds, rate: ByteSize }
             => "the body was not sent in time: {rate} a second over every {idle} s are asked, and \
                 {total} s in all allowed";
+        GONE "job_expired" JobExpired
+            => "the job had not begun when the time of its option `expires_s` was over";
+        RANGE_NOT_SATISFIABLE "range_not_satisfiable" Range { size: u64 }
+            => "the header Range asks for bytes that are not there: the result has {size}";
+        UNPROCESSABLE_ENTITY "idempotency_key_reused" KeyReused
+            => "this Idempotency-Key was sent before with another request: send the same song and \
+                options with it, or another key";
         CONFLICT "job_not_done" JobNotDone { id: String, state: &'static str }
             => "job {id} is not done: it is {state}";
         PAYLOAD_TOO_LARGE "payload_too_large"
@@ -180,6 +196,12 @@ errors! {
         UNSUPPORTED_MEDIA_TYPE "unsupported_media_type" UnsupportedMedia(String) => "{0}";
         SERVICE_UNAVAILABLE "model_stopped" ModelStopped
             => "the model has stopped: the server must be started again";
+        NOT_FOUND "no_model_here" NoModel
+            => "this server has no model of its own: order a job at POST /jobs";
+        NOT_FOUND "no_jobs_here" NoJobs
+            => "this server only works on jobs that others take: order them there";
+        INTERNAL_SERVER_ERROR "job_abandoned" Abandoned { starts: usize }
+            => "the workers that began this job died of it, {starts} times";
         INTERNAL_SERVER_ERROR "internal" Internal(String) => "the server failed: {0}";
     }
 }
@@ -209,8 +231,8 @@ impl From<OptionError> for ServerError {
 pub(crate) struct Report {
     pub(crate) status: StatusCode,
     pub(crate) message: String,
-    pub(crate) error_type: &'static str,
-    retry_after: Option<u64>,
+    pub(crate) error_type: Cow<'static, str>,
+    pub(crate) retry_after: Option<u64>,
     /// Whether it was counted before.
     pub(crate) repeated: bool,
 }
@@ -227,7 +249,7 @@ impl Report {
     pub(crate) fn body(&self, request_id: &str) -> ErrorBody {
         ErrorBody {
             error: self.message.clone(),
-            error_type: self.error_type.to_owned(),
+            error_type: self.error_type.clone().into_owned(),
             request_id: request_id.to_owned(),
         }
     }
@@ -283,6 +305,11 @@ impl ServerError {
         matches!(self, Self::Engine(EngineError::Audio(AudioError::TooLong { .. })))
     }
 
+    /// Returns the status that it is answered with.
+    pub(crate) fn status(&self) -> StatusCode {
+        self.classify().0
+    }
+
     /// Returns the error as the caller sees it. Faults of our own are logged here, and hidden.
     pub(crate) fn report(&self) -> Report {
         let (status, error_type) = self.classify();
@@ -295,7 +322,7 @@ impl ServerError {
         Report {
             status,
             message,
-            error_type,
+            error_type: error_type.into(),
             retry_after: self.retry_after().map(Seconds::retry_after),
             repeated: false,
         }
@@ -343,11 +370,11 @@ pub(crate) fn write_body(response: Response<Body>, request_id: &str) -> Response
             .canonical_reason()
             .unwrap_or("the request cannot be answered")
             .to_lowercase(),
-        error_type: match parts.status {
+        error_type: Cow::Borrowed(match parts.status {
             StatusCode::NOT_FOUND => "not_found",
             status if status.is_server_error() => "internal",
             _ => "invalid_request",
-        },
+        }),
     });
     let body = serde_json::json!(report.body(request_id)).to_string();
     parts.headers.remove(header::CONTENT_LENGTH);
@@ -364,7 +391,7 @@ mod tests {
         let stopped = ServerError::from(EngineError::Stopped).report();
         let probed = ServerError::ModelStopped.report();
         assert_eq!(
-            (stopped.status, stopped.error_type, stopped.retry_after),
+            (stopped.status, &*stopped.error_type, stopped.retry_after),
             (StatusCode::SERVICE_UNAVAILABLE, "model_stopped", probed.retry_after)
         );
         assert!(stopped.retry_after.is_some());

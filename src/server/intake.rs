@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
-use axum::http::{HeaderMap, request::Parts};
+use axum::http::{HeaderMap, Uri, request::Parts};
 use bytes::Bytes;
 use tracing::Instrument;
 
 use super::{
     error::ServerError,
+    jobs::options::JobOptions,
     layers::client::Client,
     options::RequestOptions,
     resources::UploadReservation,
@@ -41,6 +42,8 @@ pub(crate) struct Order {
     pub(crate) shape: Shape,
     /// What the upload holds, until the work begins.
     pub(crate) upload: Option<UploadReservation>,
+    /// What it has beside its dance, where it is a job.
+    pub(crate) job: JobOptions,
     pub(crate) tracker: Arc<RequestTracker>,
     pub(crate) waiting: Waiting,
 }
@@ -56,7 +59,8 @@ pub(crate) async fn receive(
     let limits = &state.limits;
     let engine = state.engine()?;
     let media = Media::of(&parts.headers)?;
-    let options = RequestOptions::from_query(&parts.uri)?;
+    let (job, uri) = job_options(purpose, &parts)?;
+    let options = RequestOptions::from_query(&uri)?;
     engine.check(&options.generation(OutputFormat::Json))?;
     upload::check_declared(&body, media, limits)?;
     let accept = parts.headers.clone();
@@ -66,7 +70,10 @@ pub(crate) async fn receive(
     }
     let client = Client::of(&parts.extensions);
     match purpose {
-        Purpose::Job => state.jobs.check_room(client)?,
+        Purpose::Job => {
+            job.check(&state.callbacks)?;
+            state.jobs.check_room(client).await?;
+        }
         Purpose::Dance | Purpose::Stream => {
             state.resources.admission.check_room(client)?;
             state.resources.check_unread(client)?;
@@ -78,17 +85,17 @@ pub(crate) async fn receive(
     let received = async {
         let mut place = state.resources.uploads.begin(client)?;
         let body = body.timed(limits);
-        let upload = upload::receive(parts, body, media, options, limits, &mut place)
+        let asked = upload::Asked { options, job: (purpose == Purpose::Job).then_some(job) };
+        let upload = upload::receive(parts, body, media, asked, limits, &mut place)
             .instrument(tracing::info_span!("stage", otel.name = "upload"))
             .await?;
-        if purpose == Purpose::Job {
-            state.resources.uploads.keep_for_job(&mut place)?;
-        }
+        let job = upload.job.clone().unwrap_or_default();
+        job.check(&state.callbacks)?;
         let shape = shape(purpose, &upload.options, &accept)?;
         engine.check(&upload.options.generation(shape.format))?;
-        Ok::<_, ServerError>((upload, shape, place))
+        Ok::<_, ServerError>((upload, job, shape, place))
     };
-    let (upload, shape, place) = match received.await {
+    let (upload, job, shape, place) = match received.await {
         Ok(received) => received,
         Err(error) => {
             waiting.answered();
@@ -103,9 +110,21 @@ pub(crate) async fn receive(
         options: upload.options,
         shape,
         upload: Some(place),
+        job,
         tracker,
         waiting,
     })
+}
+
+/// What a job has beside its dance, and the query without it.
+fn job_options(purpose: Purpose, parts: &Parts) -> Result<(JobOptions, Uri), ServerError> {
+    let mut job = JobOptions::default();
+    if purpose != Purpose::Job {
+        return Ok((job, parts.uri.clone()));
+    }
+    job.take_headers(&parts.headers)?;
+    let rest = job.take_query(&parts.uri)?;
+    Ok((job, rest))
 }
 
 fn shape(

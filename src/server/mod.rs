@@ -3,10 +3,12 @@
 //! The path of a request: `serving` (connection) → `layers` (id, trace, error shape, key, rate) →
 //! `routes` → `intake` (checks that cost nothing, a place for the body, the body in `upload`) →
 //! `resources` (a worker, a place in the queue, or 429) → `work` (waits for the engine) →
-//! `response`.
+//! `response`. A job is stored instead (`jobs`), and one of the `workers` does the rest.
 
 mod blocking;
+mod callbacks;
 mod config;
+mod description;
 mod error;
 mod info;
 mod intake;
@@ -25,14 +27,18 @@ mod telemetry;
 mod tracker;
 mod upload;
 mod work;
+mod workers;
 
+pub use callbacks::{CallbackPolicy, CallbackSecret};
 pub use config::{
-    Access, ApiKey, ByteSize, KeysError, Limits, LimitsError, Origin, Seconds, ServerConfig,
+    Access, ApiKey, ByteSize, KeysError, Limits, LimitsError, Origin, Role, Seconds, ServerConfig,
+    StorageConfig, StorageError,
 };
 pub use error::ErrorBody;
+pub use jobs::storage::JobStorage;
 pub use metrics::Metrics;
 pub use openapi::openapi_json;
 pub use router::router;
 pub use serving::{ServeError, Service, run, start};
-pub use state::Generate;
+pub use state::{Generate, JobSettings};
 pub use telemetry::{Telemetry, TelemetryError, init_telemetry};

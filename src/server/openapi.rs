@@ -62,9 +62,9 @@ pub(crate) fn keyed_routes() -> OpenApiRouter<SharedState> {
     let mut router = OpenApiRouter::new()
         .routes(routes!(generate::generate))
         .routes(routes!(stream::stream))
-        .routes(routes!(jobs::create))
-        .routes(routes!(jobs::status, jobs::delete))
-        .routes(routes!(jobs::result))
+        .routes(routes!(jobs::create::create, jobs::manage::list))
+        .routes(routes!(jobs::manage::status, jobs::manage::delete))
+        .routes(routes!(jobs::result::result))
         .routes(routes!(jobs::events::events))
         .routes(routes!(codes::codebooks))
         .routes(routes!(codes::pose));

@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use super::{
-    config::{Access, Limits},
+    config::{Access, Limits, Role},
     error::ServerError,
+    jobs::owners::Owners,
     layers::{auth, cors, envelope},
     metrics::SharedMetrics,
     openapi,
@@ -20,7 +21,7 @@ use axum::{
     Router,
     extract::Request,
     http::{Extensions, HeaderMap, Method, StatusCode, Uri, Version},
-    middleware,
+    middleware::{self, Next},
     response::{IntoResponse, Response},
 };
 use tower_http::{
@@ -42,13 +43,18 @@ pub fn router(engine: Arc<dyn Generate>, limits: Limits, access: Access) -> Rout
 }
 
 pub(crate) fn router_with(state: SharedState, access: &Access) -> Router {
+    state.jobs.owners.get_or_init(|| Owners::new(&access.keys));
     let gate = Arc::new(auth::Gate::new(access, &state.limits));
     // Before anything of a body is read.
     let auth = middleware::from_fn_with_state(gate, auth::admit);
     let (routes, document) =
         openapi::public_routes().merge(openapi::keyed_routes().route_layer(auth)).split_for_parts();
+    let role = state.role;
     let routes = routes
         .with_state(Arc::clone(&state))
+        .route_layer(middleware::from_fn(move |request: Request, next: Next| {
+            of_role(role, request, next)
+        }))
         .merge(docs::routes(&document))
         .merge(viewer::routes(access.no_viewer))
         .fallback(not_found)
@@ -73,6 +79,20 @@ fn compression() -> CompressionLayer<impl Predicate> {
             extensions.get::<Encoding>().is_none()
         });
     CompressionLayer::new().quality(CompressionLevel::Fastest).compress_when(kinds)
+}
+
+/// Answers what a process of this role has for others to do.
+async fn of_role(role: Role, request: Request, next: Next) -> Response {
+    let path = request.uri().path();
+    let below = |prefix: &str| {
+        path.strip_prefix(prefix).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+    };
+    let needs_model = below("/generate") || below("/codes");
+    match role {
+        Role::Api if needs_model => ServerError::NoModel.into_response(),
+        Role::Worker if needs_model || below("/jobs") => ServerError::NoJobs.into_response(),
+        _ => next.run(request).await,
+    }
 }
 
 async fn not_found(uri: Uri) -> ServerError {

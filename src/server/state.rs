@@ -2,14 +2,15 @@
 
 use std::{
     future::Future,
-    sync::{Arc, OnceLock},
+    sync::{Arc, OnceLock, atomic::AtomicBool},
 };
 
 use super::{
-    config::{Limits, Seconds},
+    callbacks::CallbackPolicy,
+    config::{Limits, Role, Seconds},
     error::ServerError,
     info::Info,
-    jobs::{JobStore, MemoryStore},
+    jobs::{service::Jobs, storage::JobStorage},
     metrics::SharedMetrics,
     resources::Resources,
     response::paced::Pace,
@@ -87,8 +88,23 @@ pub(crate) struct ServerState {
     pub(crate) limits: Limits,
     pub(crate) metrics: SharedMetrics,
     pub(crate) resources: Arc<Resources>,
-    pub(crate) jobs: Box<dyn JobStore>,
+    pub(crate) jobs: Arc<Jobs>,
+    pub(crate) callbacks: CallbackPolicy,
+    pub(crate) role: Role,
+    /// Whether the tasks that work on jobs have been started.
+    pub(crate) working: AtomicBool,
     pub(crate) lifecycle: Lifecycle,
+}
+
+/// Where jobs are kept, who works on them, and who is told.
+#[derive(Clone, Debug, Default)]
+pub struct JobSettings {
+    /// Where they are kept.
+    pub storage: JobStorage,
+    /// What this process does for them.
+    pub role: Role,
+    /// Who may be told of their end.
+    pub callbacks: CallbackPolicy,
 }
 
 /// What there is once the model has been loaded.
@@ -98,12 +114,24 @@ pub(crate) struct Loaded {
 }
 
 impl ServerState {
-    /// Without a model yet.
+    /// Without a model yet; jobs are kept in memory.
     pub(crate) fn loading(limits: Limits, metrics: SharedMetrics) -> SharedState {
+        Self::with_jobs(limits, metrics, JobSettings::default())
+    }
+
+    /// Without a model yet.
+    pub(crate) fn with_jobs(
+        limits: Limits,
+        metrics: SharedMetrics,
+        jobs: JobSettings,
+    ) -> SharedState {
         Arc::new(Self {
             loaded: OnceLock::new(),
             resources: Arc::new(Resources::new(&limits, &metrics)),
-            jobs: Box::new(MemoryStore::new(&limits)),
+            jobs: Arc::new(Jobs::new(jobs.storage, &limits)),
+            callbacks: jobs.callbacks,
+            role: jobs.role,
+            working: AtomicBool::new(false),
             lifecycle: Lifecycle::default(),
             metrics,
             limits,

@@ -25,8 +25,9 @@ use source::Crate;
 const MAX_COLUMNS: usize = 100;
 
 /// Crates from the bottom to the top. A crate may depend on those of lower levels only.
-const LEVELS: [(&str, u8); 12] = [
+const LEVELS: [(&str, u8); 13] = [
     ("bailando-core", 0),
+    ("bailando-jobs", 0),
     ("bailando-kernels", 0),
     ("bailando-audio", 1),
     ("bailando-features", 2),
@@ -41,12 +42,17 @@ const LEVELS: [(&str, u8); 12] = [
 ];
 
 /// Libraries that only some files may name: the libraries, where, why.
-const CONFINED: [(&[&str], &[&str], &str); 2] = [
+const CONFINED: [(&[&str], &[&str], &str); 3] = [
     (&["ort"], &["crates/bailando-model/src/"], "only the model crate knows ONNX Runtime"),
     (
         &["axum", "http_body_util", "hyper", "hyper_util", "tower", "tower_http"],
         &["src/server/", "src/cli/healthcheck.rs"],
         "only the server knows HTTP",
+    ),
+    (
+        &["sqlx", "object_store"],
+        &["crates/bailando-jobs/src/"],
+        "only the jobs crate knows databases and stores",
     ),
 ];
 

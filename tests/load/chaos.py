@@ -21,6 +21,7 @@ ROWS = {
     "models": 12,
     "api_key": 13,
     "guard": 15,
+    "kill": 16,
 }
 
 

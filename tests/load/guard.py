@@ -232,7 +232,7 @@ def main():
     for attack in ATTACKS:
         name = attack.__name__
         keys = f"{GREEDY},{HONEST}"
-        with Server(options, "--api-key", keys) as server:
+        with Server(options, "--api-key", keys, "--max-jobs", 16) as server:
             honest = Honest(server)
             held = attack(server, seconds)
             honest.judge(verdict, name)

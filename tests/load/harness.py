@@ -212,7 +212,8 @@ class Server:
             self.process = spawn(
                 list(map(str, command)),
                 cwd=ROOT,
-                env=clean_environment(**(env or {})),
+                # Jobs in memory, unless a test names a folder.
+                env=clean_environment(BAILANDO_DATA_DIR="none", **(env or {})),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,
@@ -291,6 +292,11 @@ class Server:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     # How it ends.
+
+    def kill(self):
+        """As a power cut would, as far as a process notices."""
+        self.process.kill()
+        self.process.wait()
 
     def terminate(self):
         self.process.send_signal(signal.SIGTERM)

@@ -30,8 +30,12 @@ pub(crate) struct Server {
 
 impl Server {
     pub(crate) async fn start(fake: &Arc<Fake>, limits: Limits) -> Self {
+        Self::start_with(fake, Service { limits, ..Service::default() }).await
+    }
+
+    pub(crate) async fn start_with(fake: &Arc<Fake>, service: Service) -> Self {
         let engine = Arc::clone(fake) as Arc<dyn Generate>;
-        let server = Self::loading(async { Ok(engine) }, limits).await;
+        let server = Self::serve(async { Ok(engine) }, service).await;
         server.until_ready_says("HTTP/1.1 200").await;
         server
     }
@@ -40,11 +44,17 @@ impl Server {
         load: impl Future<Output = Result<Arc<dyn Generate>, ServeError>> + Send + 'static,
         limits: Limits,
     ) -> Self {
+        Self::serve(load, Service { limits, ..Service::default() }).await
+    }
+
+    async fn serve(
+        load: impl Future<Output = Result<Arc<dyn Generate>, ServeError>> + Send + 'static,
+        service: Service,
+    ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (stop, told) = mpsc::unbounded_channel();
         let task = tokio::spawn(async move {
-            let service = Service { limits, ..Service::default() };
             let told =
                 stream::unfold(told, |mut told| async { told.recv().await.map(|()| ((), told)) });
             run(service, load, listener, told).await

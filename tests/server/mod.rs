@@ -3,6 +3,7 @@
 mod access;
 mod client;
 mod connection;
+mod durable;
 mod fake;
 mod generate;
 mod guard;
@@ -13,6 +14,7 @@ mod limits;
 #[cfg(unix)]
 mod process;
 mod real;
+mod replicas;
 mod streaming;
 mod surface;
 mod uploads;

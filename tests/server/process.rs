@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bailando_testkit::{model::tiny_dancer, read_json};
+use bailando_testkit::{model::tiny_dancer, read_json, sound::clicks, wav::wav16};
 
 use crate::server::client::LONG;
 
@@ -25,6 +25,8 @@ fn bailando(arguments: &[&str]) -> Command {
         }
     }
     command.env("BAILANDO_MODEL_DIR", tiny_dancer());
+    // Tests that run at the same time have no jobs in common.
+    command.env("BAILANDO_DATA_DIR", "none");
     command
 }
 
@@ -272,6 +274,79 @@ fn traces_go_to_the_collector_that_the_settings_name() {
     let body = String::from_utf8_lossy(&body);
     assert!(body.contains("bailando") && body.contains("request"), "{body}");
     assert!(body.contains("/ready"), "{body}");
+}
+
+fn exchange(port: u16, request: &[u8]) -> String {
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.write_all(request).unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+/// `kill -9` while songs are danced to: the next process on the same folder does all of them.
+#[test]
+fn killed_jobs_are_done_by_the_next_process() {
+    let folder = tempfile::tempdir().unwrap();
+    let start = || {
+        let port = free_port();
+        let mut server = bailando(&["serve", "--port", &port.to_string(), "--job-lease", "1"]);
+        server.arg("--data-dir").arg(folder.path().join("data")).stderr(Stdio::null());
+        let server = Running(server.spawn().unwrap());
+        wait_until_ready(port);
+        (server, port)
+    };
+    let song = wav16(1, 22_050, &clicks(60.0, 22_050, 0.1, Some(0.5)));
+    let mut order = format!(
+        "POST /jobs HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
+        song.len()
+    )
+    .into_bytes();
+    order.extend(song);
+    let (mut server, mut port) = start();
+    let mut jobs = Vec::new();
+    for wait in [0, 150, 400] {
+        for _ in 0..2 {
+            let accepted = exchange(port, &order);
+            assert!(accepted.starts_with("HTTP/1.1 202"), "{accepted}");
+            let path = accepted.lines().find_map(|line| line.strip_prefix("location: "));
+            jobs.push(path.unwrap().to_owned());
+        }
+        thread::sleep(Duration::from_millis(wait));
+        server.0.kill().unwrap();
+        (server, port) = start();
+    }
+    let started = Instant::now();
+    for job in &jobs {
+        while !get_patiently(port, job).contains("\"state\":\"done\"") {
+            assert!(started.elapsed() < LONG * 4, "{}", get_patiently(port, job));
+            thread::sleep(Duration::from_millis(50));
+        }
+        let result = get_patiently(port, &format!("{job}/result"));
+        assert!(result.ends_with('}'), "a result is torn");
+    }
+    server.terminate();
+    assert_eq!(server.wait().code(), Some(0));
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_to_is_named_or_done_without() {
+    let refused = bailando(&["serve", "--port", "0", "--data-dir", "/proc/nothing"]).output();
+    let refused = refused.unwrap();
+    assert_eq!(refused.status.code(), Some(1));
+    let said = said(&refused);
+    assert!(said.contains("/proc/nothing"), "{said}");
+    assert_eq!(said.trim_end().lines().count(), 1, "{said}");
+    let apart = bailando(&["serve", "--port", "0", "--role", "api"]).output().unwrap();
+    assert_eq!(apart.status.code(), Some(2));
+    // The default folder is another matter: jobs are kept in memory.
+    let port = free_port();
+    let mut server = bailando(&["serve", "--port", &port.to_string()]);
+    server.env_remove("BAILANDO_DATA_DIR").current_dir("/proc").stderr(Stdio::null());
+    let mut server = Running(server.spawn().unwrap());
+    wait_until_ready(port);
+    server.terminate();
+    assert_eq!(server.wait().code(), Some(0));
 }
 
 #[test]

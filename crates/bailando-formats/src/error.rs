@@ -49,6 +49,9 @@ pub enum FormatError {
         /// Bytes that it would take.
         bytes: u64,
     },
+    /// A stored motion is not what was written.
+    #[error("the stored dance cannot be read: {0}")]
+    Stored(String),
     /// JSON could not be written.
     #[error("the result could not be written as JSON: {0}")]
     Json(#[from] serde_json::Error),

@@ -24,6 +24,7 @@ pub mod corpus;
 pub mod model;
 pub mod motion;
 pub mod ogg;
+pub mod postgres;
 pub mod sound;
 pub mod wav;
 

@@ -2,6 +2,7 @@
 
 use std::{convert::Infallible, fmt, fs, io, path::Path, str::FromStr};
 
+use sha2::{Digest, Sha256};
 use subtle::ConstantTimeEq;
 
 /// Longest key file that is read, in bytes.
@@ -16,6 +17,12 @@ impl ApiKey {
     #[must_use]
     pub fn is(&self, sent: &[u8]) -> bool {
         self.0.as_bytes().ct_eq(sent).into()
+    }
+
+    /// A part of the key's hash: says which key it is, and not what it is.
+    pub(crate) fn fingerprint(&self) -> String {
+        let hash = Sha256::digest(format!("bailando key {}", self.0));
+        hash.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
     }
 
     pub(super) fn is_empty(&self) -> bool {

@@ -88,11 +88,23 @@ limits! {
         "BAILANDO_AUDIO_SECONDS_IN_FLIGHT" = 2400.0, above_zero;
     /// Jobs that are kept at the same time, finished ones included; one more replaces a job whose
     /// result was fetched, or else is answered 429
-    max_jobs: NonZeroUsize ["max_jobs" u64] "BAILANDO_MAX_JOBS" = count(16);
+    max_jobs: NonZeroUsize ["max_jobs" u64] "BAILANDO_MAX_JOBS" = count(10_000);
+    /// Bytes of songs and results of jobs that are kept at the same time, without a data directory
+    /// 400MB at most; above it a new job replaces one whose result was fetched, or else is answered
+    /// 503
+    job_bytes: ByteSize ["job_bytes" u64] "BAILANDO_JOB_BYTES" = ByteSize(20_000_000_000);
     /// Longest time in seconds that a job may be worked on
     job_timeout: Seconds ["job_timeout_s" f64] "BAILANDO_JOB_TIMEOUT" = Seconds::new(600);
-    /// Time in seconds that a finished job is kept
-    job_ttl: Seconds ["job_ttl_s" f64] "BAILANDO_JOB_TTL" = Seconds::new(600);
+    /// Time in seconds that a finished job is kept, without a data directory 10 minutes at most
+    job_ttl: Seconds ["job_ttl_s" f64] "BAILANDO_JOB_TTL" = Seconds::new(86_400);
+    /// Time in seconds after which another worker takes a job whose worker no longer says that it
+    /// lives
+    job_lease: Seconds ["job_lease_s" f64] "BAILANDO_JOB_LEASE" = Seconds::new(15);
+    /// Times that a job is tried when the service is at fault; what is wrong with a song or an
+    /// option is tried once
+    job_attempts: NonZeroUsize ["job_attempts" u64] "BAILANDO_JOB_ATTEMPTS" = count(3);
+    /// Times that a job is begun when its worker dies of it
+    job_starts: NonZeroUsize ["job_starts" u64] "BAILANDO_JOB_STARTS" = count(10);
     /// Requests a minute, on average, that each client may make of the routes that need a key;
     /// clients are distinguished by their API key, else by the address that connects: behind a
     /// proxy all clients without a key count as one [default: no limit]

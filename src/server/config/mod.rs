@@ -4,6 +4,7 @@
 mod keys;
 mod limits;
 mod origin;
+mod storage;
 mod units;
 
 use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
@@ -15,6 +16,7 @@ pub use self::{
     keys::{ApiKey, KeysError},
     limits::{Limits, LimitsError},
     origin::Origin,
+    storage::{Role, StorageConfig, StorageError},
     units::{ByteSize, Seconds},
 };
 use crate::engine::{EngineConfig, Observer};
@@ -54,6 +56,9 @@ pub struct ServerConfig {
     /// Bounds of what callers may ask for.
     #[command(flatten)]
     pub limits: Limits,
+    /// Where jobs are kept, and who works on them.
+    #[command(flatten)]
+    pub storage: StorageConfig,
     /// Key that callers must send, as `Authorization: Bearer KEY` or `X-API-Key: KEY`; several with
     /// commas. Probes, metrics and documentation need none [default: no key is required]
     #[arg(long, env = "BAILANDO_API_KEY", hide_env_values = true, value_delimiter = ',')]
@@ -89,6 +94,7 @@ impl Default for ServerConfig {
             model_dir: PathBuf::from("models/default"),
             threads: None,
             limits: Limits::default(),
+            storage: StorageConfig::default(),
             api_key: Vec::new(),
             api_key_file: None,
             cors_allow_origin: Vec::new(),

@@ -34,6 +34,8 @@ pub(crate) enum Client {
     Key(usize),
     /// Sent no key, from this address.
     Address(IpAddr),
+    /// Ordered a job with a key that another replica knows: a hash of it.
+    Stored(u64),
     /// Came without a connection, as in tests.
     Unknown,
 }

@@ -131,7 +131,7 @@ async fn finish(
     if let Some(report) = response.extensions().get::<Report>()
         && !report.repeated
     {
-        metrics.rejected(report.error_type);
+        metrics.rejected(&report.error_type);
     }
     if response.status().is_client_error() || response.status().is_server_error() {
         response = write_body(response, &id);

@@ -94,7 +94,7 @@ metrics! {
     cancelled: Family<One, Counter> = Family::default(),
         "cancelled", "Requests whose client disconnected, whose time was over, or whose job was \
         deleted, by phase";
-    rejected: Family<One, Counter> = Family::default(),
+    rejected: Family<Any, Counter> = Family::default(),
         "rejected", "Requests refused, by reason";
     panics: Family<One, Counter> = Family::default(),
         "panics", "Panics caught, by place";
@@ -105,7 +105,11 @@ metrics! {
     pub(crate) uploads: Gauge = Gauge::default(),
         "uploads", "Bodies in transfer";
     jobs: Family<One, Gauge> = Family::default(),
-        "jobs", "Jobs kept, by state";
+        "jobs", "Jobs kept, by state, of all replicas that share them";
+    pub(crate) job_retries: Counter = Counter::default(),
+        "job_retries", "Jobs put back after a fault of the service";
+    pub(crate) callbacks: Family<One, Counter> = Family::default(),
+        "callbacks", "Reports of the end of a job to its callback URL, by outcome";
     pub(crate) answer_bytes: Gauge = Gauge::default(),
         "answer" in Bytes, "Bytes of responses held for their readers";
     pub(crate) upload_bytes: Gauge = Gauge::default(),
@@ -214,17 +218,17 @@ impl Metrics {
         self.cancel_latency.observe(took.as_secs_f64());
     }
 
-    pub(crate) fn rejected(&self, reason: &'static str) {
-        self.rejected.get_or_create(&[("reason", reason)]).inc();
+    pub(crate) fn rejected(&self, reason: &str) {
+        self.rejected.get_or_create(&[("reason", reason.to_owned())]).inc();
     }
 
     pub(crate) fn panicked(&self, place: &'static str) {
         self.panics.get_or_create(&[("place", place)]).inc();
     }
 
-    /// Counts one job in `state` for as long as the guard lives.
-    pub(crate) fn job(&self, state: &'static str) -> Counted {
-        Counted::new(&self.jobs.get_or_create(&[("state", state)]))
+    /// Says how many jobs are in `state`, of all replicas that share them.
+    pub(crate) fn jobs(&self, state: &'static str, jobs: i64) {
+        self.jobs.get_or_create(&[("state", state)]).set(jobs);
     }
 }
 
@@ -242,23 +246,6 @@ impl Observer for Metrics {
 impl fmt::Debug for Metrics {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Metrics").finish_non_exhaustive()
-    }
-}
-
-/// Counts in a gauge for as long as it lives.
-#[derive(Debug)]
-pub(crate) struct Counted(Gauge);
-
-impl Counted {
-    pub(crate) fn new(gauge: &Gauge) -> Self {
-        gauge.inc();
-        Self(gauge.clone())
-    }
-}
-
-impl Drop for Counted {
-    fn drop(&mut self) {
-        self.0.dec();
     }
 }
 
@@ -280,7 +267,7 @@ mod tests {
         Metrics::panicked(&metrics, "decode");
         metrics.heard(2.5);
         metrics.stepped(3, Duration::from_millis(1));
-        let _job = metrics.job("running");
+        metrics.jobs("running", 1);
         let text = metrics.text().unwrap();
         for line in [
             "bailando_build_info{version=\"0.1.0\",model=\"tiny\"} 1",

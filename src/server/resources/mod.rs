@@ -11,7 +11,7 @@ use std::{sync::Arc, time::Duration};
 pub(crate) use self::{
     admission::{Admission, Permit},
     budget::{Budget, Reservation, Short},
-    turns::{Stay, Turns},
+    turns::Stay,
     uploads::{HeldBytes, UploadReservation, Uploads},
 };
 use super::{
@@ -33,8 +33,6 @@ pub(crate) struct Resources {
     pub(crate) audio: Budget,
     /// Bytes of responses that may wait for their readers.
     responses: Budget,
-    /// Workers that jobs may use: half of all, at least one.
-    pub(crate) job_workers: Turns,
     /// Results of jobs that may be written at the same time, and those that wait for it.
     pub(crate) writers: Admission,
     memory: ByteSize,
@@ -45,7 +43,6 @@ pub(crate) struct Resources {
 
 impl Resources {
     pub(crate) fn new(limits: &Limits, metrics: &SharedMetrics) -> Self {
-        let jobs = (limits.max_concurrent_requests.get() as u64 / 2).max(1);
         let audio = limits.audio_seconds_in_flight as u64;
         let memory = limits.answer_memory.0;
         Self {
@@ -57,7 +54,6 @@ impl Resources {
                 limits.share_of(memory),
                 metrics.answer_bytes.clone(),
             ),
-            job_workers: Turns::new(jobs as usize, limits.share_of(jobs) as usize, 0),
             // Metrics of their own, which nobody sees: these are not generations.
             writers: Admission::new(limits, Arc::new(Metrics::default())),
             memory: limits.answer_memory,

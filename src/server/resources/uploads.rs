@@ -2,14 +2,12 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::Ordering};
 
-use prometheus_client::metrics::gauge::Gauge;
-
 use super::{
     budget::{Budget, Reservation},
     transfers::{Displaced, Transfer, Transfers},
 };
 use crate::server::{
-    config::{ByteSize, Limits, Seconds},
+    config::{Limits, Seconds},
     error::ServerError,
     layers::client::Client,
     metrics::Metrics,
@@ -20,24 +18,17 @@ use crate::server::{
 pub(crate) struct Uploads {
     bodies: Arc<Transfers>,
     bytes: Budget,
-    /// Bytes that jobs may hold while they wait: half of all, so that room is left for requests
-    /// that cannot wait.
-    job_bytes: Budget,
-    memory: ByteSize,
 }
 
 impl Uploads {
     pub(crate) fn new(limits: &Limits, metrics: &Metrics) -> Self {
-        let memory = limits.upload_memory;
-        // Room for the largest file in any case.
-        let share = |bytes| limits.share_of(bytes).max(limits.largest_body().0);
-        let (most, jobs) = (limits.max_uploads.get(), memory.0 / 2);
+        let (most, memory) = (limits.max_uploads.get(), limits.upload_memory.0);
         let bodies = limits.share_of(most as u64) as usize;
+        // Room for the largest file in any case.
+        let share = limits.share_of(memory).max(limits.largest_body().0);
         Self {
             bodies: Transfers::new(most, bodies, metrics.uploads.clone()),
-            bytes: Budget::shared(memory.0, share(memory.0), metrics.upload_bytes.clone()),
-            job_bytes: Budget::shared(jobs, share(jobs), Gauge::default()),
-            memory,
+            bytes: Budget::shared(memory, share, metrics.upload_bytes.clone()),
         }
     }
 
@@ -52,38 +43,15 @@ impl Uploads {
             most: self.bodies.most(),
             retry_after: self.bytes.retry_after(1),
         })?;
-        Ok(UploadReservation {
-            client,
-            body: Some(body),
-            bytes: HeldBytes(Arc::new(Mutex::new(bytes))),
-            job_bytes: None,
-        })
-    }
-
-    /// Counts what `upload` holds among the bytes of jobs too.
-    ///
-    /// # Errors
-    /// [`ServerError::UploadMemory`] where jobs hold too much already.
-    pub(crate) fn keep_for_job(&self, upload: &mut UploadReservation) -> Result<(), ServerError> {
-        let held = upload.bytes.lock().units() as u64;
-        // One upload may be larger than the half of all that jobs may hold.
-        let units = self.job_bytes.clamp(held);
-        let kept = self.job_bytes.try_reserve_for(upload.client, units.into());
-        upload.job_bytes = Some(kept.map_err(|_| ServerError::UploadMemory {
-            memory: self.memory,
-            retry_after: self.job_bytes.retry_after(1),
-        })?);
-        Ok(())
+        Ok(UploadReservation { body: Some(body), bytes: HeldBytes(Arc::new(Mutex::new(bytes))) })
     }
 }
 
 /// The right to receive one body, and to hold it until it is decoded.
 #[derive(Debug)]
 pub(crate) struct UploadReservation {
-    client: Client,
     body: Option<Transfer>,
     bytes: HeldBytes,
-    job_bytes: Option<Reservation>,
 }
 
 impl UploadReservation {
@@ -137,6 +105,7 @@ mod tests {
     use std::num::NonZeroUsize;
 
     use super::*;
+    use crate::server::config::ByteSize;
 
     #[test]
     fn bodies_and_bytes_are_bounded_and_given_back() {
@@ -155,19 +124,12 @@ mod tests {
         ));
         first.bytes().add(60).unwrap();
         first.received();
-        let mut second = uploads.begin(Client::Unknown).unwrap();
+        let second = uploads.begin(Client::Unknown).unwrap();
         second.bytes().add(40).unwrap();
         // Two reservations share the two seconds that one is assumed to last.
         assert_eq!(second.bytes().add(1), Err(Seconds::new(1)));
         assert_eq!((metrics.uploads.get(), metrics.upload_bytes.get()), (1, 100));
-        // Of which jobs may hold half.
-        assert!(uploads.keep_for_job(&mut first).is_ok());
-        assert!(matches!(
-            uploads.keep_for_job(&mut second),
-            Err(ServerError::UploadMemory { retry_after, .. }) if retry_after == soon
-        ));
         drop(first);
-        assert!(uploads.keep_for_job(&mut second).is_ok());
         second.bytes().add(60).unwrap();
         drop(second);
         assert_eq!((metrics.uploads.get(), metrics.upload_bytes.get()), (0, 0));

@@ -1,6 +1,9 @@
 //! Dances as they are written: once for all readers who ask for the same.
 
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::{
+    future::Future,
+    sync::{Arc, Mutex, PoisonError, Weak},
+};
 
 use bytes::Bytes;
 
@@ -94,16 +97,26 @@ impl Answers {
         slot
     }
 
-    /// The dance as asked for. It is written in a task of its own, which has a place to write in
-    /// and the memory for it: a reader who leaves does not free what the writing still needs.
+    /// Whether something that was written has readers still.
+    pub(crate) fn is_read(&self) -> bool {
+        let slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
+        slots
+            .iter()
+            .any(|(_, slot)| slot.try_lock().is_ok_and(|written| written.strong_count() > 0))
+    }
+
+    /// The dance that `load` gives as asked for. It is loaded and written in a task of its own,
+    /// which has a place to write in and the memory for it: a reader who leaves does not free what
+    /// the writing still needs.
     ///
     /// # Errors
-    /// As [`Written::new`]; [`ServerError::QueueFull`] where too much is to be written.
+    /// As [`Written::new`]; [`ServerError::QueueFull`] where too much is to be written; what `load`
+    /// fails with.
     pub(crate) async fn get(
-        &self,
+        self: Arc<Self>,
         (resources, metrics): (&Arc<Resources>, &SharedMetrics),
         client: Client,
-        dance: &Arc<GeneratedMotion>,
+        load: impl Future<Output = Result<GeneratedMotion, ServerError>> + Send + 'static,
         options: &RequestOptions,
         shape: Shape,
     ) -> Result<Arc<Written>, ServerError> {
@@ -113,9 +126,12 @@ impl Answers {
             return Ok(written);
         }
         let (resources, metrics) = (Arc::clone(resources), Arc::clone(metrics));
-        let (dance, options) = (Arc::clone(dance), options.clone());
+        let options = options.clone();
         let written = tokio::spawn(async move {
+            // All readers find this one, as long as it writes.
+            let _shared = self;
             let _place = resources.writers.admit(client, Stay::Short).await?;
+            let dance = Arc::new(load.await?);
             let held = (&*resources, &metrics);
             let written = Written::new(held, client, None, dance, &options, shape).await?;
             *slot = Arc::downgrade(&written);

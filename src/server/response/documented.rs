@@ -25,9 +25,14 @@ fn about(status: u16) -> &'static str {
         406 => "The Accept header names no format of ours.",
         408 => "The body was not sent in time.",
         409 => "The job is not done.",
+        410 => "The job expired before it began.",
         413 => "The audio file is too large.",
+        416 => "The result has no such bytes.",
         415 => "The body is no audio that is accepted, or compressed.",
-        422 => "The audio cannot be decoded, or is too short or too long.",
+        422 => {
+            "The audio cannot be decoded, or is too short or too long, or the Idempotency-Key came \
+             with another request."
+        }
         429 => {
             "Too many requests are waiting, too many jobs are kept, too much is being uploaded, \
              this client calls too often or leaves too much unread: `error_type` says which."
@@ -35,7 +40,8 @@ fn about(status: u16) -> &'static str {
         500 => "The server is at fault.",
         _ => {
             "The model is being loaded or has stopped, the server is shutting down, there was no \
-             result in time, or unread responses leave no memory: `error_type` says which."
+             result in time, unread responses leave no memory, or jobs cannot be kept or found: \
+             `error_type` says which."
         }
     }
 }
@@ -162,11 +168,13 @@ errors! {
     /// Errors of a generation whose result is the response.
     GenerationErrors: 400 401 406 408 413 415 422 429 500 503;
     /// Errors of a new job.
-    NewJobErrors: 400 401 408 413 415 429 500 503;
+    NewJobErrors: 400 401 408 413 415 422 429 500 503;
     /// Errors of a question about a job.
-    JobErrors: 401 404 429;
+    JobErrors: 401 404 429 500 503;
+    /// Errors of a list of jobs.
+    JobListErrors: 400 401 429 500 503;
     /// Errors of the result of a job.
-    JobResultErrors: 400 401 404 406 409 415 422 429 500 503;
+    JobResultErrors: 400 401 404 406 409 410 415 416 422 429 500 503;
     /// Errors of the codebooks.
     CodebookErrors: 401 429 503;
     /// Errors of the motion of a code pair.

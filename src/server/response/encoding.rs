@@ -40,7 +40,8 @@ impl Encoding {
         best.1
     }
 
-    fn name(self) -> Option<&'static str> {
+    /// Its name in `Content-Encoding`, where there is one.
+    pub(crate) fn name(self) -> Option<&'static str> {
         match self {
             Self::Identity => None,
             Self::Zstd => Some("zstd"),

@@ -1,6 +1,6 @@
 //! `POST /generate`: audio in, dance out.
 
-use std::sync::Arc;
+use std::{ops::Range, sync::Arc};
 
 use axum::{
     extract::{Request, State},
@@ -47,7 +47,7 @@ pub(crate) async fn generate(
     let body = IncomingBody::new(body);
     let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
     let rendered = state.in_time(render(&state, parts, body)).await?;
-    Ok(rendered.respond(&state, under_way, || {}))
+    Ok(rendered.respond(&state, None, under_way, || {}))
 }
 
 async fn render(
@@ -65,31 +65,25 @@ async fn render(
         // Slow readers hold memory: the permit is free only once there is some.
         let written = Written::new(held, client, writing.0, writing.1, options, shape).await?;
         work.end().into_iter().for_each(Permit::complete);
-        Ok(Rendered::new(&dance, written, shape.format))
+        Ok(Rendered::new(Described::new(&dance, shape.format), written))
     }
     .await;
     order.waiting.answered();
     made
 }
 
-/// What is left of a dance once it has been written.
-pub(crate) struct Rendered {
-    written: Arc<Written>,
-    format: OutputFormat,
-    seed: u64,
-    tail: Option<String>,
-    timings: Timings,
-    warnings: Vec<String>,
+/// What the headers say of a dance.
+pub(crate) struct Described {
+    pub(crate) format: OutputFormat,
+    pub(crate) seed: u64,
+    pub(crate) tail: Option<String>,
+    pub(crate) timings: Timings,
+    pub(crate) warnings: Vec<String>,
 }
 
-impl Rendered {
-    pub(crate) fn new(
-        dance: &GeneratedMotion,
-        written: Arc<Written>,
-        format: OutputFormat,
-    ) -> Self {
+impl Described {
+    fn new(dance: &GeneratedMotion, format: OutputFormat) -> Self {
         Self {
-            written,
             format,
             seed: dance.seed,
             tail: dance.continuation.as_ref().map(crate::formats::Continuation::to_text),
@@ -98,23 +92,13 @@ impl Rendered {
         }
     }
 
-    /// The answer; `under_way` counts it as a request until it has been sent.
-    /// `taken` is called when its last part is.
-    pub(crate) fn respond(
-        self,
-        state: &SharedState,
-        under_way: impl Send + 'static,
-        taken: impl FnOnce() + Send + 'static,
-    ) -> Response {
-        let bytes = self.written.bytes();
+    pub(crate) fn headers(self) -> HeaderMap {
         let mut headers = HeaderMap::new();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(self.format.content_type()));
-        headers.insert(header::CONTENT_LENGTH, HeaderValue::from(bytes.len()));
         headers.insert(SEED, HeaderValue::from(self.seed));
         if let Some(tail) = self.tail.and_then(|tail| HeaderValue::try_from(tail).ok()) {
             headers.insert(TAIL, tail);
         }
-        encoding::note(&mut headers, self.written.encoding());
         times(&mut headers, &self.timings);
         warnings::append(&mut headers, &self.warnings);
         if self.format != OutputFormat::Json {
@@ -124,6 +108,38 @@ impl Rendered {
                 headers.insert(header::CONTENT_DISPOSITION, name);
             }
         }
+        headers
+    }
+}
+
+/// What is left of a dance once it has been written.
+pub(crate) struct Rendered {
+    described: Described,
+    written: Arc<Written>,
+}
+
+impl Rendered {
+    pub(crate) fn new(described: Described, written: Arc<Written>) -> Self {
+        Self { described, written }
+    }
+
+    /// The answer, or a `part` of it; `under_way` counts it as a request until it has been sent.
+    /// `taken` is called when its last part is.
+    pub(crate) fn respond(
+        self,
+        state: &SharedState,
+        part: Option<Range<u64>>,
+        under_way: impl Send + 'static,
+        taken: impl FnOnce() + Send + 'static,
+    ) -> Response {
+        let mut bytes = self.written.bytes();
+        if let Some(part) = part {
+            let within = |end: u64| usize::try_from(end).unwrap_or(usize::MAX).min(bytes.len());
+            bytes = bytes.slice(within(part.start)..within(part.end));
+        }
+        let mut headers = self.described.headers();
+        encoding::note(&mut headers, self.written.encoding());
+        headers.insert(header::CONTENT_LENGTH, HeaderValue::from(bytes.len()));
         let body = paced::from_bytes(bytes, under_way, state.pace(), taken);
         let mut response = (Held::Paced, headers, body).into_response();
         response.extensions_mut().insert(self.written.encoding());

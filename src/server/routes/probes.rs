@@ -1,5 +1,7 @@
 //! Probes and self-description: they never wait for anything and take no permit.
 
+use std::time::Duration;
+
 use axum::{
     Json,
     extract::State,
@@ -70,6 +72,9 @@ pub(crate) async fn info(State(state): State<SharedState>) -> Result<Json<Info>,
 /// Media type of what Prometheus reads.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
+/// A scrape waits so long for the numbers of jobs.
+const JOBS_COUNTED: Duration = Duration::from_millis(500);
+
 /// What is counted, as Prometheus reads it.
 #[utoipa::path(
     get,
@@ -83,6 +88,11 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
     ))
 )]
 pub(crate) async fn metrics(State(state): State<SharedState>) -> Result<Response, ServerError> {
+    // Of all replicas; where the table does not answer, as it was last known.
+    let counted = tokio::time::timeout(JOBS_COUNTED, state.jobs.table.count()).await;
+    for (of, jobs) in counted.ok().and_then(Result::ok).into_iter().flatten() {
+        state.metrics.jobs(of.name(), jobs);
+    }
     let text = state.metrics.shared_text();
     let text = text.map_err(|error| ServerError::Internal(error.to_string()))?;
     // Whoever else holds memory, this is answered.

@@ -11,6 +11,9 @@ pub(crate) struct Lifecycle {
     draining: CancellationToken,
     aborted: CancellationToken,
     requests: TaskTracker,
+    jobs: TaskTracker,
+    /// Tasks that end by themselves once the server drains.
+    pub(crate) background: TaskTracker,
 }
 
 impl Lifecycle {
@@ -26,6 +29,12 @@ impl Lifecycle {
         self.requests.token()
     }
 
+    /// Registers work on a job that another process resumes if this one is too slow: it is waited
+    /// for, but nothing is lost without it.
+    pub(crate) fn go_on_with_job(&self) -> TaskTrackerToken {
+        self.jobs.token()
+    }
+
     pub(crate) fn is_draining(&self) -> bool {
         self.draining.is_cancelled()
     }
@@ -39,6 +48,8 @@ impl Lifecycle {
     pub(crate) fn drain(&self) {
         self.draining.cancel();
         self.requests.close();
+        self.jobs.close();
+        self.background.close();
     }
 
     /// Waits for [`Lifecycle::drain`].
@@ -46,9 +57,10 @@ impl Lifecycle {
         self.draining.cancelled().await;
     }
 
-    /// Waits, once draining, until no request is in progress.
+    /// Waits, once draining, until no request and no job is in progress.
     pub(crate) async fn idle(&self) {
         self.requests.wait().await;
+        self.jobs.wait().await;
     }
 
     /// Number of requests in progress.

@@ -16,10 +16,14 @@ use super::{connection, signals::Signals};
 use crate::{
     engine::{Engine, EngineConfig, EngineError},
     server::{
-        config::{Access, KeysError, Limits, LimitsError, Seconds, ServerConfig},
+        config::{
+            Access, KeysError, Limits, LimitsError, Role, Seconds, ServerConfig, StorageError,
+        },
+        description::ModelDescription,
         metrics::{Metrics, SharedMetrics},
         router::router_with,
-        state::{Generate, ServerState, SharedState},
+        state::{Generate, JobSettings, ServerState, SharedState},
+        workers,
     },
 };
 
@@ -39,6 +43,9 @@ pub enum ServeError {
     /// Two limits contradict each other.
     #[error(transparent)]
     Limits(#[from] LimitsError),
+    /// Jobs cannot be kept as the settings say.
+    #[error(transparent)]
+    Storage(#[from] StorageError),
     /// The API keys cannot be read, or there are none.
     #[error(transparent)]
     Keys(#[from] KeysError),
@@ -96,6 +103,8 @@ pub struct Service {
     pub access: Access,
     /// Counters and gauges.
     pub metrics: Arc<Metrics>,
+    /// Where jobs are kept, and who works on them.
+    pub jobs: JobSettings,
 }
 
 /// Serves on `listener` until `stop` gives an item and the requests in progress have ended.
@@ -115,8 +124,8 @@ pub async fn run(
     stop: impl Stream<Item = ()>,
 ) -> Result<(), ServeError> {
     let address = listener.local_addr().map_err(ServeError::Listen)?;
-    let Service { limits, access, metrics } = service;
-    let state = ServerState::loading(limits, metrics);
+    let Service { limits, access, metrics, jobs } = service;
+    let state = ServerState::with_jobs(limits, metrics, jobs);
     // A stream that ends gives no more signals.
     let mut stop = pin!(stop.chain(stream::pending()));
     let idle = {
@@ -131,16 +140,24 @@ pub async fn run(
     let server = connection::serve(listener, router, &state.limits, metrics, idle);
     let mut server = pin!(server);
     let ended = tokio::select! {
-        () = &mut server => return Ok(()),
+        () = &mut server => None,
         // Only a new process can start the model again.
-        failed = load_and_watch(&state, load, address) => Err(failed),
+        failed = load_and_watch(&state, load, address) => Some(Err(failed)),
         _ = stop.next() => {
             tracing::info!(in_progress = state.lifecycle.under_way(), "shutting down");
+            Some(Ok(()))
+        }
+    };
+    let ended = match ended {
+        Some(ended) => ended.and(drain(&state, server, stop).await),
+        None => {
+            state.lifecycle.drain();
             Ok(())
         }
     };
-    let drained = drain(&state, server, stop).await;
-    ended.and(drained)
+    // They see that the server drains, and are in the middle of nothing that could be lost.
+    let _ = tokio::time::timeout(LAST_WORDS, state.lifecycle.background.wait()).await;
+    ended
 }
 
 /// Loads the model, and returns when that failed or the model has stopped.
@@ -155,6 +172,7 @@ async fn load_and_watch(
     };
     tracing::info!(%address, model = engine.manifest().name, "listening");
     state.finish_loading(Arc::clone(&engine));
+    workers::start(state);
     while engine.is_alive() {
         tokio::time::sleep(MODEL_CHECK).await;
     }
@@ -182,10 +200,10 @@ async fn drain(
         _ = stop.next() => Why::Hurry,
     };
     let lost = lifecycle.under_way();
+    lifecycle.abort();
     if lost == 0 {
         return Ok(());
     }
-    lifecycle.abort();
     // Elapsed or not, every request that could be answered has been.
     let _ = tokio::time::timeout(LAST_WORDS, server).await;
     Err(match why {
@@ -207,11 +225,8 @@ enum Why {
 /// whether requests were cut off in the end.
 pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
     config.limits.check()?;
-    let service = Service {
-        limits: config.limits.clone(),
-        access: config.access()?,
-        metrics: SharedMetrics::default(),
-    };
+    config.storage.check()?;
+    let access = config.access()?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
@@ -220,7 +235,17 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
         // First, so that a process that is told to stop while it starts also ends cleanly.
         let signals = Signals::install().map_err(ServeError::Signals)?;
         let listener = bind(&config.host, config.port).await?;
-        let load = open(config.engine(Arc::clone(&service.metrics) as _));
+        let service = Service {
+            limits: config.limits.clone(),
+            access,
+            metrics: SharedMetrics::default(),
+            jobs: JobSettings {
+                storage: config.storage.open().await?,
+                role: config.storage.role,
+                callbacks: config.storage.callbacks(),
+            },
+        };
+        let load = open(config.engine(Arc::clone(&service.metrics) as _), config.storage.role);
         run(service, load, listener, signals.stream()).await
     });
     // Work that was cut off has been cancelled; it is not waited for.
@@ -249,11 +274,15 @@ fn has_no_ipv6(error: &io::Error) -> bool {
 }
 
 /// Opens the model on a blocking thread: reading and hashing it takes long.
-async fn open(config: EngineConfig) -> Result<Arc<dyn Generate>, ServeError> {
-    let engine = tokio::task::spawn_blocking(move || Engine::open(&config))
-        .await
-        .map_err(ServeError::Load)??;
-    Ok(Arc::new(engine))
+async fn open(config: EngineConfig, role: Role) -> Result<Arc<dyn Generate>, ServeError> {
+    let open = move || -> Result<Arc<dyn Generate>, ServeError> {
+        let engine: Arc<dyn Generate> = match role {
+            Role::Api => Arc::new(ModelDescription::open(&config)?),
+            Role::All | Role::Worker => Arc::new(Engine::open(&config)?),
+        };
+        Ok(engine)
+    };
+    tokio::task::spawn_blocking(open).await.map_err(ServeError::Load)?
 }
 
 #[cfg(test)]

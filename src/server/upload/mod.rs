@@ -5,4 +5,4 @@ mod form;
 pub(crate) mod media;
 mod receive;
 
-pub(crate) use self::receive::{check_declared, receive};
+pub(crate) use self::receive::{Asked, check_declared, receive};

@@ -17,6 +17,7 @@ use crate::audio::is_lossless;
 use crate::server::{
     config::{ByteSize, FORM_OVERHEAD, Limits},
     error::ServerError,
+    jobs::options::JobOptions,
     options::{LONGEST_VALUE, RequestOptions, shorten},
     resources::UploadReservation,
 };
@@ -25,6 +26,15 @@ use crate::server::{
 pub(crate) struct Upload {
     pub(crate) audio: Bytes,
     pub(crate) options: RequestOptions,
+    /// What it has beside its dance, where it is a job.
+    pub(crate) job: Option<JobOptions>,
+}
+
+/// What the query asks for.
+pub(crate) struct Asked {
+    pub(crate) options: RequestOptions,
+    /// None where the request orders no job.
+    pub(crate) job: Option<JobOptions>,
 }
 
 /// Refuses a body with a declared length above every limit.
@@ -43,7 +53,7 @@ pub(crate) fn check_declared(
     }
 }
 
-/// Reads the whole body. `options` are those of the query; parts of a form add to them.
+/// Reads the whole body. `asked` is what the query asks for; parts of a form add to them.
 ///
 /// # Errors
 /// [`ServerError`] for anything that is wrong with the upload.
@@ -51,7 +61,7 @@ pub(crate) async fn receive(
     parts: Parts,
     body: IncomingBody,
     media: Media,
-    options: RequestOptions,
+    asked: Asked,
     limits: &Limits,
     reservation: &mut UploadReservation,
 ) -> Result<Upload, ServerError> {
@@ -60,9 +70,9 @@ pub(crate) async fn receive(
         Media::Raw => {
             let mut audio = AudioBuffer::new(limits, body.declared());
             collect(&mut audio, body, |error| body_error(&error, limits)).await?;
-            Upload { audio: audio.finish()?, options }
+            Upload { audio: audio.finish()?, options: asked.options, job: asked.job }
         }
-        Media::Form => receive_form(parts, body, options, limits).await?,
+        Media::Form => receive_form(parts, body, asked, limits).await?,
     };
     reservation.received();
     if upload.audio.is_empty() {
@@ -84,7 +94,7 @@ fn most_bytes(media: Media, limits: &Limits) -> u64 {
 async fn receive_form(
     mut parts: Parts,
     body: IncomingBody,
-    mut options: RequestOptions,
+    Asked { mut options, mut job }: Asked,
     limits: &Limits,
 ) -> Result<Upload, ServerError> {
     let no_boundary = || {
@@ -120,10 +130,13 @@ async fn receive_form(
             audio = Some(buffer.finish()?);
         } else {
             let value = read_value(field, &kept, limits).await?;
-            options.set(&name, &value)?;
+            let taken = job.as_mut().map_or(Ok(false), |job| job.take(&name, &value))?;
+            if !taken {
+                options.set(&name, &value)?;
+            }
         }
     }
-    Ok(Upload { audio: audio.ok_or(ServerError::MissingAudio)?, options })
+    Ok(Upload { audio: audio.ok_or(ServerError::MissingAudio)?, options, job })
 }
 
 /// Reads the value of an option. A value that is too long for any option is cut, and refused by its

@@ -12,6 +12,7 @@ mod bvh_readers;
 mod fbx;
 mod glb;
 mod research;
+mod stored;
 mod vmd;
 
 use bailando_formats::{

@@ -7,14 +7,15 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
+use bailando_jobs::JobRecord;
 use bytes::Bytes;
 use futures_util::{Stream, stream};
 use tokio::time::{Instant, sleep};
 
-use super::status::{JobStatus, find};
+use super::find::find;
 use crate::server::{
     error::ServerError,
-    jobs::Job,
+    jobs::status::JobStatus,
     layers::{client::Client, envelope::Held},
     response::{documented::JobErrors, negotiate::EVENTS, paced},
     routes::stream::unbuffered,
@@ -56,27 +57,28 @@ pub(crate) async fn events(
     id: Result<Path<String>, PathRejection>,
     headers: HeaderMap,
 ) -> Result<Response, ServerError> {
-    let job = find(&state, client, id)?;
+    let job = find(&state, client, id).await?;
     if headers.get("last-event-id").is_some_and(|id| id == LAST) {
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let mut head = HeaderMap::new();
     head.insert(header::CONTENT_TYPE, HeaderValue::from_static(EVENTS));
     unbuffered(&mut head);
-    let body = paced::from_stream(Follower::new(job).events(), state.pace());
+    let body = paced::from_stream(Follower::new(Arc::clone(&state), job).events(), state.pace());
     Ok((Held::Paced, head, body).into_response())
 }
 
 /// Looks at a job, and tells what has changed.
 struct Follower {
-    job: Arc<Job>,
+    state: SharedState,
+    job: JobRecord,
     told: String,
     told_at: Instant,
 }
 
 impl Follower {
-    fn new(job: Arc<Job>) -> Self {
-        Self { job, told: String::new(), told_at: Instant::now() }
+    fn new(state: SharedState, job: JobRecord) -> Self {
+        Self { state, job, told: String::new(), told_at: Instant::now() }
     }
 
     fn events(self) -> impl Stream<Item = Bytes> + Send + 'static {
@@ -90,9 +92,18 @@ impl Follower {
     /// The next event, and whether there are more.
     async fn next(&mut self) -> (Bytes, bool) {
         loop {
-            let status = JobStatus::of(&self.job);
+            self.state.jobs.ask(self.job.id);
+            let found = self.state.jobs.find(self.job.id).await;
+            let deleted = matches!(found, Ok(None));
+            // While the table does not answer, what was known is told.
+            if let Ok(Some(job)) = found {
+                self.job = job;
+            }
+            let Ok(status) = JobStatus::of(&self.state.jobs, &self.job) else {
+                return (format!("event: failed\nid: {LAST}\ndata: {{}}\n\n").into(), false);
+            };
             let json = serde_json::to_string(&status).unwrap_or_default();
-            if matches!(status.state, "done" | "failed") || self.job.deleted.is_cancelled() {
+            if self.job.state.is_final() || deleted {
                 let name = if status.state == "done" { "done" } else { "failed" };
                 return (format!("event: {name}\nid: {LAST}\ndata: {json}\n\n").into(), false);
             }

@@ -102,7 +102,7 @@ impl Sender {
             Ok(next) => next,
             Err(error) => {
                 let report = error.report();
-                self.state.metrics.rejected(report.error_type);
+                self.state.metrics.rejected(&report.error_type);
                 // Stops the work, if it has not ended.
                 self.events.close();
                 self.waiting = None;

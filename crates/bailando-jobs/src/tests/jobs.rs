@@ -1,0 +1,360 @@
+use std::{collections::HashSet, sync::Arc, time::Duration};
+
+use bailando_testkit::postgres::Postgres;
+use uuid::Uuid;
+
+use crate::{
+    Claim, Inserted, JobRecord, JobTable, JobsError, Kept, Lease, Listing, NewJob, Reached, State,
+    now,
+};
+
+const LONG: Duration = Duration::from_secs(60);
+const SHORT: Duration = Duration::from_millis(30);
+
+/// Runs a test with a table in memory, in a file, and in PostgreSQL where that is installed.
+fn with_each(test: impl AsyncFn(Arc<JobTable>)) {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    runtime.block_on(test(Arc::new(JobTable::in_memory())));
+    let folder = tempfile::tempdir().unwrap();
+    let file = JobTable::in_file(&folder.path().join("jobs.sqlite"));
+    runtime.block_on(test(Arc::new(file)));
+    if let Some(postgres) = Postgres::start() {
+        runtime.block_on(test(Arc::new(JobTable::at_url(&postgres.url()).unwrap())));
+    }
+}
+
+fn claim(lease: Duration) -> Claim<'static> {
+    Claim { model: "model", lease, most_starts: 3, full: &[] }
+}
+
+fn job(owner: &str) -> NewJob {
+    NewJob { model: "model".to_owned(), ..NewJob::new(owner, "{}") }
+}
+
+async fn insert(jobs: &JobTable, job: NewJob) -> Uuid {
+    let id = job.id;
+    assert_eq!(jobs.insert(job).await.unwrap(), Inserted::New);
+    id
+}
+
+async fn find(jobs: &JobTable, id: Uuid) -> JobRecord {
+    jobs.find(id).await.unwrap().unwrap()
+}
+
+async fn take(jobs: &JobTable) -> Option<Lease> {
+    jobs.claim(&claim(LONG)).await.unwrap()
+}
+
+fn reached(done: i64) -> Reached {
+    Reached { stage: "inference".to_owned(), codes_done: done, codes_total: 9 }
+}
+
+#[test]
+fn a_job_is_kept_worked_on_and_done() {
+    with_each(async |jobs| {
+        let order = NewJob { priority: 2, order_bytes: 7, ..job("me") };
+        let id = insert(&jobs, order.clone()).await;
+        let kept = find(&jobs, id).await;
+        assert_eq!((kept.state, kept.starts, kept.priority), (State::Queued, 0, 2));
+        assert_eq!(kept.order, order.order);
+        let lease = take(&jobs).await.unwrap();
+        assert_eq!((lease.job.id, lease.job.state), (id, State::Running));
+        assert!(take(&jobs).await.is_none());
+        assert!(jobs.renew(&lease, LONG, &reached(4)).await.unwrap());
+        let running = find(&jobs, id).await;
+        assert_eq!((running.codes_done, running.codes_total, running.starts), (4, 9, 1));
+        assert_eq!(running.stage.as_deref(), Some("inference"));
+        assert!(jobs.done(&lease, "[1]".to_owned(), 5, &reached(9)).await.unwrap());
+        let done = find(&jobs, id).await;
+        assert_eq!((done.state, done.result.as_deref()), (State::Done, Some("[1]")));
+        assert!(done.finished_at >= done.started_at && done.started_at >= Some(done.created_at));
+        let kept = jobs.kept("me").await.unwrap();
+        assert_eq!(kept, Kept { jobs: 1, own: 1, bytes: 5 });
+        assert_eq!(jobs.kept("you").await.unwrap().own, 0);
+        assert!(!jobs.renew(&lease, LONG, &reached(9)).await.unwrap(), "the lease has ended");
+        assert!(jobs.delete(id).await.unwrap() && !jobs.delete(id).await.unwrap());
+    });
+}
+
+#[test]
+fn another_worker_takes_a_job_whose_lease_has_ended_and_the_first_changes_nothing_more() {
+    with_each(async |jobs| {
+        let id = insert(&jobs, job("me")).await;
+        let first = jobs.claim(&claim(SHORT)).await.unwrap().unwrap();
+        assert!(take(&jobs).await.is_none());
+        tokio::time::sleep(SHORT * 2).await;
+        let second = take(&jobs).await.unwrap();
+        assert_eq!((second.job.id, second.job.starts), (id, 2));
+        assert!(!jobs.renew(&first, LONG, &reached(1)).await.unwrap());
+        assert!(!jobs.done(&first, "first".to_owned(), 0, &reached(9)).await.unwrap());
+        assert!(!jobs.fail(&first, "first".to_owned()).await.unwrap());
+        assert!(!jobs.retry(&first, SHORT).await.unwrap());
+        assert!(!jobs.release(&first).await.unwrap());
+        assert!(jobs.done(&second, "second".to_owned(), 0, &reached(9)).await.unwrap());
+        assert_eq!(find(&jobs, id).await.result.as_deref(), Some("second"));
+    });
+}
+
+#[test]
+fn a_job_that_no_worker_survives_fails_at_last() {
+    with_each(async |jobs| {
+        let id = insert(&jobs, job("me")).await;
+        for _ in 0..3 {
+            assert!(jobs.claim(&claim(SHORT)).await.unwrap().is_some());
+            tokio::time::sleep(SHORT * 2).await;
+        }
+        assert!(take(&jobs).await.is_none());
+        let say = |text: &str| text.to_owned();
+        jobs.fail_hopeless(3, say("expired"), say("abandoned")).await.unwrap();
+        let failed = find(&jobs, id).await;
+        assert_eq!((failed.state, failed.error.as_deref()), (State::Failed, Some("abandoned")));
+    });
+}
+
+#[test]
+fn a_job_expires_in_the_queue_but_not_once_it_has_begun() {
+    with_each(async |jobs| {
+        let soon = Some(now() + 150);
+        let begun = insert(&jobs, NewJob { expires_at: soon, ..job("me") }).await;
+        let lease = take(&jobs).await.unwrap();
+        assert_eq!(lease.job.id, begun);
+        let late = insert(&jobs, NewJob { expires_at: Some(now() - 1), ..job("me") }).await;
+        assert!(take(&jobs).await.is_none());
+        tokio::time::sleep(Duration::from_millis(200)).await;
+        jobs.fail_hopeless(3, "expired".to_owned(), "abandoned".to_owned()).await.unwrap();
+        assert_eq!(find(&jobs, late).await.error.as_deref(), Some("expired"));
+        assert!(jobs.done(&lease, String::new(), 0, &reached(9)).await.unwrap());
+    });
+}
+
+#[test]
+fn a_retry_waits_and_a_release_is_no_start() {
+    with_each(async |jobs| {
+        let id = insert(&jobs, job("me")).await;
+        let lease = take(&jobs).await.unwrap();
+        assert!(jobs.retry(&lease, Duration::from_millis(300)).await.unwrap());
+        assert!(take(&jobs).await.is_none());
+        tokio::time::sleep(Duration::from_millis(400)).await;
+        let lease = take(&jobs).await.unwrap();
+        assert_eq!((lease.job.starts, lease.job.faults), (2, 1));
+        assert!(jobs.release(&lease).await.unwrap());
+        let released = find(&jobs, id).await;
+        assert_eq!((released.state, released.starts), (State::Queued, 1));
+    });
+}
+
+#[test]
+fn priority_comes_first_then_owners_take_turns_then_the_oldest() {
+    with_each(async |jobs| {
+        for (owner, priority) in [("a", 0), ("a", 0), ("a", 0), ("b", 0), ("b", -1), ("a", 5)] {
+            insert(&jobs, NewJob { priority, ..job(owner) }).await;
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+        let mut order = Vec::new();
+        while let Some(lease) = take(&jobs).await {
+            order.push((lease.job.owner, lease.job.priority));
+        }
+        let wanted = [("a", 5), ("b", 0), ("a", 0), ("a", 0), ("a", 0), ("b", -1)];
+        assert_eq!(order, wanted.map(|(owner, priority)| (owner.to_owned(), priority)));
+    });
+}
+
+#[test]
+fn an_owner_with_its_share_and_jobs_of_another_model_are_left_to_others() {
+    with_each(async |jobs| {
+        let own = insert(&jobs, job("busy")).await;
+        let full = ["busy".to_owned(), "other".to_owned()];
+        let full = Claim { full: &full, ..claim(LONG) };
+        assert!(jobs.claim(&full).await.unwrap().is_none());
+        assert_eq!(take(&jobs).await.unwrap().job.id, own);
+        let foreign = NewJob { model: "another".to_owned(), ..job("me") };
+        let foreign = insert(&jobs, foreign).await;
+        let worker = Uuid::new_v4();
+        jobs.alive(worker, "another").await.unwrap();
+        jobs.alive(worker, "another").await.unwrap();
+        assert!(take(&jobs).await.is_none(), "a worker with its model lives");
+        jobs.gone(worker).await.unwrap();
+        assert_eq!(take(&jobs).await.unwrap().job.id, foreign);
+    });
+}
+
+#[test]
+fn an_idempotency_key_stands_for_one_job_of_its_owner() {
+    with_each(async |jobs| {
+        let keyed = |owner: &str| NewJob { idempotency_key: Some("k".to_owned()), ..job(owner) };
+        let first = insert(&jobs, keyed("me")).await;
+        let Inserted::Known(known) = jobs.insert(keyed("me")).await.unwrap() else {
+            panic!("the second is the first");
+        };
+        assert_eq!(known.id, first);
+        insert(&jobs, keyed("you")).await;
+        insert(&jobs, job("me")).await;
+        insert(&jobs, job("me")).await;
+        assert_eq!(jobs.kept("me").await.unwrap().jobs, 4);
+        jobs.delete(first).await.unwrap();
+        insert(&jobs, keyed("me")).await;
+    });
+}
+
+#[test]
+fn a_result_is_found_by_its_content() {
+    with_each(async |jobs| {
+        let same = || NewJob { content_key: "c".to_owned(), ..job("me") };
+        let id = insert(&jobs, same()).await;
+        assert!(jobs.find_result("c", 0).await.unwrap().is_none(), "it has none yet");
+        let lease = take(&jobs).await.unwrap();
+        jobs.done(&lease, "r".to_owned(), 3, &reached(9)).await.unwrap();
+        let found = jobs.find_result("c", 0).await.unwrap().unwrap();
+        assert_eq!((found.id, found.result_bytes), (id, 3));
+        assert!(jobs.find_result("c", now() + 1).await.unwrap().is_none());
+        let copy = NewJob { result: Some(("r".to_owned(), 3)), ..same() };
+        let copy = insert(&jobs, copy).await;
+        let copy = find(&jobs, copy).await;
+        assert_eq!((copy.state, copy.result_bytes), (State::Done, 3));
+        assert!(take(&jobs).await.is_none());
+    });
+}
+
+#[test]
+fn jobs_are_listed_by_owner_state_and_page() {
+    with_each(async |jobs| {
+        let mut ids = Vec::new();
+        for _ in 0..5 {
+            ids.push(insert(&jobs, job("me")).await);
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+        insert(&jobs, job("you")).await;
+        ids.reverse();
+        let all = Listing {
+            owner: "me".to_owned(),
+            state: None,
+            before: None,
+            most: 3,
+            finished_since: 0,
+        };
+        let list = async |listing: Listing| {
+            let listed = jobs.list(listing).await.unwrap();
+            listed.iter().map(|job| job.id).collect::<Vec<_>>()
+        };
+        assert_eq!(list(all.clone()).await, ids[..3]);
+        let last = find(&jobs, ids[2]).await;
+        let rest = Listing { before: Some((last.created_at, last.id)), ..all.clone() };
+        assert_eq!(list(rest).await, ids[3..]);
+        let lease = take(&jobs).await.unwrap();
+        assert_eq!(jobs.ahead(&find(&jobs, ids[0]).await).await.unwrap(), 3);
+        jobs.fail(&lease, String::new()).await.unwrap();
+        let failed = Listing { state: Some(State::Failed), ..all.clone() };
+        assert_eq!(list(failed).await, [lease.job.id]);
+        let queued = jobs.count().await.unwrap();
+        assert_eq!(queued[0], (State::Queued, 5));
+        let later = Listing { finished_since: now() + 1, most: 9, ..all };
+        assert_eq!(list(later).await.len(), 4, "what has expired is not shown");
+        assert_eq!(jobs.finished_before(now() + 1).await.unwrap(), [lease.job.id]);
+    });
+}
+
+#[test]
+fn what_was_fetched_makes_room_first() {
+    with_each(async |jobs| {
+        let first = insert(&jobs, job("me")).await;
+        jobs.fetched(first).await.unwrap();
+        assert_eq!(jobs.oldest_fetched(None).await.unwrap(), None, "it is not done");
+        assert_eq!(jobs.oldest_finished(None).await.unwrap(), None);
+        let lease = take(&jobs).await.unwrap();
+        jobs.fail(&lease, String::new()).await.unwrap();
+        jobs.fetched(first).await.unwrap();
+        assert_eq!(jobs.oldest_fetched(None).await.unwrap(), Some(first));
+        assert_eq!(jobs.oldest_fetched(Some("me")).await.unwrap(), Some(first));
+        assert_eq!(jobs.oldest_fetched(Some("you")).await.unwrap(), None);
+        assert!(jobs.oldest_finished(Some("me")).await.unwrap().is_some());
+    });
+}
+
+#[test]
+fn the_end_is_reported_until_somebody_takes_the_report() {
+    with_each(async |jobs| {
+        let url = Some("https://example.org".to_owned());
+        let id = insert(&jobs, NewJob { callback_url: url, ..job("me") }).await;
+        assert!(jobs.due_callback(LONG).await.unwrap().is_none(), "it has not ended");
+        let lease = take(&jobs).await.unwrap();
+        jobs.done(&lease, String::new(), 0, &reached(9)).await.unwrap();
+        assert_eq!(jobs.due_callback(LONG).await.unwrap().unwrap().id, id);
+        assert!(jobs.due_callback(LONG).await.unwrap().is_none(), "somebody reports it");
+        jobs.reported(id, Some(Duration::ZERO)).await.unwrap();
+        assert_eq!(jobs.due_callback(LONG).await.unwrap().unwrap().callback_tries, 2);
+        jobs.reported(id, None).await.unwrap();
+        assert!(jobs.due_callback(Duration::ZERO).await.unwrap().is_none());
+    });
+}
+
+#[test]
+fn many_workers_share_the_jobs_and_none_is_taken_twice() {
+    with_each(async |jobs| {
+        let mut wanted = HashSet::new();
+        for _ in 0..60 {
+            wanted.insert(insert(&jobs, job("me")).await);
+        }
+        let workers = (0..4).map(|_| {
+            let jobs = Arc::clone(&jobs);
+            tokio::spawn(async move {
+                let mut taken = Vec::new();
+                while let Some(lease) = take(&jobs).await {
+                    taken.push(lease.job.id);
+                    assert!(jobs.done(&lease, String::new(), 0, &reached(9)).await.unwrap());
+                }
+                taken
+            })
+        });
+        let mut all = Vec::new();
+        for worker in workers.collect::<Vec<_>>() {
+            all.extend(worker.await.unwrap());
+        }
+        assert_eq!(all.len(), wanted.len());
+        assert_eq!(all.into_iter().collect::<HashSet<_>>(), wanted);
+    });
+}
+
+/// It costs its own job and no other.
+#[test]
+fn a_row_that_cannot_be_read_is_a_failed_job() {
+    with_each(async |jobs| {
+        let broken = insert(&jobs, NewJob { priority: 9, ..job("me") }).await;
+        let whole = insert(&jobs, job("me")).await;
+        let spoil = sqlx::query("UPDATE jobs SET codes_total = -1, order_bytes = -5 WHERE id = $1");
+        assert!(jobs.change(spoil.bind(broken.to_string())).await.unwrap());
+        let error = jobs.claim(&claim(LONG)).await.unwrap_err();
+        assert!(matches!(error, JobsError::Record { .. }), "{error}");
+        assert_eq!(take(&jobs).await.unwrap().job.id, whole);
+        assert!(take(&jobs).await.is_none());
+        let failed = jobs.count().await.unwrap();
+        assert!(failed.contains(&(State::Failed, 1)), "{failed:?}");
+        let said = jobs.find(broken).await.unwrap_err().to_string();
+        assert!(said.contains(&broken.to_string()) && said.contains("order_bytes"), "{said}");
+        let listing = Listing {
+            owner: "me".to_owned(),
+            state: None,
+            before: None,
+            most: 9,
+            finished_since: 0,
+        };
+        assert_eq!(jobs.list(listing).await.unwrap().len(), 1);
+    });
+}
+
+#[test]
+fn a_database_that_comes_back_is_used_again() {
+    let Some(mut postgres) = Postgres::start() else { return };
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let jobs = JobTable::at_url(&postgres.url()).unwrap();
+        let id = insert(&jobs, job("me")).await;
+        postgres.stop();
+        let down = jobs.find(id).await.unwrap_err();
+        assert!(matches!(down, JobsError::Database(_)), "{down}");
+        let never_up = JobTable::at_url(&postgres.url()).unwrap();
+        assert!(never_up.open().await.is_err());
+        postgres.go_on();
+        assert_eq!(find(&jobs, id).await.id, id);
+        never_up.open().await.unwrap();
+    });
+}

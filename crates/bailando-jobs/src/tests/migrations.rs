@@ -1,0 +1,75 @@
+use std::sync::Arc;
+
+use bailando_testkit::postgres::Postgres;
+
+use crate::{
+    Inserted, JobTable, JobsError, NewJob, SCHEMA, State, database::Database, schema::first_steps,
+};
+
+/// As the first release of these tables left them, with a job.
+const OLD_JOB: &str = "INSERT INTO jobs VALUES ('67e55044-10b1-426f-9247-bb680e5fe0c8', 'me', 'r', \
+    'queued', 1, 2, 3, NULL, NULL, NULL, NULL, 0, 0, NULL, NULL, NULL, 0, 0, 'm', 'c', NULL, '{}', \
+    5, NULL, 0, NULL)";
+
+async fn older(url: &str) {
+    sqlx::any::install_default_drivers();
+    let pool = sqlx::Pool::<sqlx::Any>::connect(url).await.unwrap();
+    for statement in first_steps(1) {
+        sqlx::query(statement).execute(&pool).await.unwrap();
+    }
+    sqlx::query(OLD_JOB).execute(&pool).await.unwrap();
+    sqlx::query("CREATE TABLE job_schema (version BIGINT NOT NULL)").execute(&pool).await.unwrap();
+    sqlx::query("INSERT INTO job_schema VALUES (1)").execute(&pool).await.unwrap();
+    pool.close().await;
+}
+
+/// Replicas that start together bring the tables up to date once, and lose nothing.
+async fn brought_up_to_date(url: &str) {
+    older(url).await;
+    let tables: Vec<_> = (0..4).map(|_| Arc::new(JobTable::at_url(url).unwrap())).collect();
+    let opened = tables.iter().map(|table| {
+        let table = Arc::clone(table);
+        tokio::spawn(async move { table.open().await })
+    });
+    for opened in opened.collect::<Vec<_>>() {
+        opened.await.unwrap().unwrap();
+    }
+    let old = "67e55044-10b1-426f-9247-bb680e5fe0c8".parse().unwrap();
+    let job = tables[0].find(old).await.unwrap().unwrap();
+    assert_eq!((job.state, job.order_bytes, job.callback_url), (State::Queued, 5, None));
+    let url = Some("https://example.org".to_owned());
+    let new = NewJob { callback_url: url, ..NewJob::new("me", "{}") };
+    assert_eq!(tables[1].insert(new).await.unwrap(), Inserted::New);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn older_tables_are_brought_up_to_date() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("jobs.sqlite");
+    std::fs::File::create(&file).unwrap();
+    brought_up_to_date(&format!("sqlite://{}", file.display())).await;
+    if let Some(postgres) = Postgres::start() {
+        brought_up_to_date(&postgres.url()).await;
+    }
+}
+
+#[tokio::test]
+async fn tables_of_a_later_release_are_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("jobs.sqlite");
+    let database = Database::in_file(&file);
+    let later = sqlx::query("UPDATE job_schema SET version = $1").bind(SCHEMA + 1);
+    later.execute(database.pool().await.unwrap()).await.unwrap();
+    let refused = JobTable::in_file(&file).open().await.unwrap_err();
+    assert!(matches!(refused, JobsError::Schema { found, .. } if found == SCHEMA + 1), "{refused}");
+}
+
+#[tokio::test]
+async fn a_file_that_is_no_database_is_an_error_and_stays_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("jobs.sqlite");
+    std::fs::write(&file, vec![b'x'; 8192]).unwrap();
+    let refused = JobTable::in_file(&file).open().await.unwrap_err().to_string();
+    assert!(refused.contains("not a database"), "{refused}");
+    assert_eq!(std::fs::read(&file).unwrap(), vec![b'x'; 8192]);
+}

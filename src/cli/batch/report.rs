@@ -1,0 +1,54 @@
+//! What has become of each song.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::cli::console::write_file;
+
+/// What has become of a song.
+pub(super) enum Outcome {
+    Made,
+    /// By an earlier run.
+    There,
+    /// Why.
+    Failed(String),
+}
+
+/// What has become of all songs.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct Report {
+    made: Vec<String>,
+    there: Vec<String>,
+    failed: Vec<Failure>,
+}
+
+#[derive(Debug, Serialize)]
+struct Failure {
+    song: String,
+    error: String,
+}
+
+impl Report {
+    pub(super) fn add(&mut self, song: &Path, outcome: Outcome) {
+        let song = song.display().to_string();
+        match outcome {
+            Outcome::Made => self.made.push(song),
+            Outcome::There => self.there.push(song),
+            Outcome::Failed(error) => self.failed.push(Failure { song, error }),
+        }
+    }
+
+    pub(super) fn failed(&self) -> usize {
+        self.failed.len()
+    }
+
+    pub(super) fn summary(&self) -> String {
+        let (made, there, failed) = (self.made.len(), self.there.len(), self.failed.len());
+        format!("{made} dances made, {there} there already, {failed} failed")
+    }
+
+    pub(super) fn write(&self, file: &Path) -> anyhow::Result<()> {
+        write_file(file, serde_json::to_vec_pretty(self)?)
+    }
+}

@@ -1,0 +1,8 @@
+//! Jobs as the service keeps them: whose they are, what was ordered, what became of it.
+
+pub(crate) mod options;
+pub(crate) mod order;
+pub(crate) mod owners;
+pub(crate) mod service;
+pub(crate) mod status;
+pub(crate) mod storage;

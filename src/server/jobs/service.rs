@@ -1,0 +1,289 @@
+//! All jobs: kept in the table, with their files, within limits.
+
+use std::{
+    collections::HashMap,
+    sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
+    time::Duration,
+};
+
+use bailando_jobs::{Files, JobRecord, JobTable, JobsError, Millis, now};
+use tokio::{sync::Notify, time::Instant};
+use tokio_util::sync::CancellationToken;
+use uuid::Uuid;
+
+use super::{owners::Owners, storage::JobStorage};
+use crate::server::{
+    config::{ByteSize, Limits, Seconds},
+    error::ServerError,
+    layers::client::Client,
+    response::answer::Answers,
+    tracker::RequestTracker,
+};
+
+/// Most bytes of songs and results where they are kept in memory.
+const MEMORY: ByteSize = ByteSize(400_000_000);
+/// Longest time that results are kept in memory.
+const MEMORY_TTL: Seconds = Seconds::new(600);
+/// When to ask again while the database or the store is down.
+const STORE_RETRY: Seconds = Seconds::new(5);
+/// Jobs that make room for one more, at most.
+const MOST_REPLACED: usize = 16;
+
+/// The jobs of a service, as one replica sees them.
+pub(crate) struct Jobs {
+    pub(crate) table: Arc<JobTable>,
+    pub(crate) files: Files,
+    pub(crate) durable: bool,
+    /// Rung when there may be something to do.
+    pub(crate) wake: Notify,
+    pub(crate) owners: OnceLock<Owners>,
+    most: usize,
+    share: usize,
+    bytes: ByteSize,
+    ttl: Duration,
+    // Held only to look up, to put or to take out.
+    here: Mutex<Here>,
+}
+
+/// What this replica itself does for jobs.
+#[derive(Default)]
+struct Here {
+    running: HashMap<Uuid, Running>,
+    /// Results that are being written or read in formats that are not stored.
+    answers: HashMap<Uuid, Arc<Answers>>,
+    /// Results that were sent, and are not noted in the table yet.
+    fetched: Vec<Uuid>,
+    /// When somebody asked about a job last, where it ends with the process.
+    asked: HashMap<Uuid, Instant>,
+}
+
+/// A job that is worked on here.
+#[derive(Clone)]
+pub(crate) struct Running {
+    pub(crate) owner: String,
+    pub(crate) tracker: Arc<RequestTracker>,
+    /// Triggered when it is deleted: that stops its work.
+    pub(crate) deleted: CancellationToken,
+}
+
+impl Jobs {
+    pub(crate) fn new(storage: JobStorage, limits: &Limits) -> Self {
+        let JobStorage { table, files, durable } = storage;
+        let most = limits.max_jobs.get();
+        let in_memory = |kept: ByteSize| if durable { kept } else { kept.min(MEMORY) };
+        let ttl = if durable { limits.job_ttl } else { limits.job_ttl.min(MEMORY_TTL) };
+        Self {
+            table,
+            files,
+            durable,
+            wake: Notify::new(),
+            owners: OnceLock::new(),
+            most,
+            share: limits.share_of(most as u64) as usize,
+            bytes: in_memory(limits.job_bytes),
+            ttl: ttl.0,
+            here: Mutex::default(),
+        }
+    }
+
+    fn here(&self) -> MutexGuard<'_, Here> {
+        self.here.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn owners(&self) -> &Owners {
+        self.owners.get_or_init(Owners::default)
+    }
+
+    /// The folder of a job's files in the store.
+    pub(crate) fn folder(id: Uuid) -> String {
+        format!("jobs/{id}")
+    }
+
+    /// Its song.
+    pub(crate) fn song(id: Uuid) -> String {
+        format!("jobs/{id}/song")
+    }
+
+    /// Its result of one start: `motion`, or a format.
+    pub(crate) fn result(id: Uuid, start: i64, kind: &str) -> String {
+        format!("jobs/{id}/{start}.{kind}")
+    }
+
+    /// Results that were finished before this are gone.
+    pub(crate) fn finished_since(&self) -> Millis {
+        now().saturating_sub(i64::try_from(self.ttl.as_millis()).unwrap_or(i64::MAX))
+    }
+
+    /// Whether one more of `client` may be kept.
+    ///
+    /// # Errors
+    /// [`ServerError::TooManyJobs`], [`ServerError::JobBytes`], [`ServerError::JobStore`].
+    pub(crate) async fn check_room(&self, client: Client) -> Result<(), ServerError> {
+        self.replaced(&self.owners().name(client)).await.map(drop)
+    }
+
+    /// Makes room for one more of `owner`.
+    ///
+    /// # Errors
+    /// As [`Jobs::check_room`].
+    pub(crate) async fn make_room(&self, owner: &str) -> Result<(), ServerError> {
+        for _ in 0..MOST_REPLACED {
+            match self.replaced(owner).await? {
+                None => return Ok(()),
+                Some(replaced) => drop(self.forget(replaced).await?),
+            }
+        }
+        Ok(())
+    }
+
+    /// The job whose place one more of `owner` takes: none while there are free ones; else the one
+    /// that was fetched, of the owner's own where those are too many.
+    async fn replaced(&self, owner: &str) -> Result<Option<Uuid>, ServerError> {
+        self.note_fetched().await?;
+        self.expire().await?;
+        let kept = self.table.kept(owner).await?;
+        let count = |jobs: i64| usize::try_from(jobs).unwrap_or(0);
+        let within = Owners::is_unknown(owner) || count(kept.own) < self.share;
+        let fits = u64::try_from(kept.bytes).unwrap_or(0) < self.bytes.0;
+        if within && fits && count(kept.jobs) < self.most {
+            return Ok(None);
+        }
+        let of = (!within).then_some(owner);
+        if let Some(fetched) = self.table.oldest_fetched(of).await? {
+            return Ok(Some(fetched));
+        }
+        // The next place is free when the oldest result goes, unless a client deletes one before.
+        let oldest = self.table.oldest_finished(of).await?;
+        let retry_after = oldest.map_or(Seconds::new(10), |finished| {
+            let age = u64::try_from(now().saturating_sub(finished)).unwrap_or(0);
+            Seconds(self.ttl.saturating_sub(Duration::from_millis(age)))
+        });
+        Err(match fits {
+            true => ServerError::TooManyJobs { most: self.most, retry_after },
+            false => ServerError::JobBytes { bytes: self.bytes, retry_after },
+        })
+    }
+
+    /// Finds a job.
+    ///
+    /// # Errors
+    /// [`ServerError::JobStore`].
+    pub(crate) async fn find(&self, id: Uuid) -> Result<Option<JobRecord>, ServerError> {
+        let job = self.table.find(id).await?;
+        let since = self.finished_since();
+        Ok(job.filter(|job| job.finished_at.is_none_or(|finished| finished >= since)))
+    }
+
+    /// Stops a job, deletes its files and forgets it; whether there was one.
+    ///
+    /// # Errors
+    /// [`ServerError::JobStore`] if it is still there.
+    pub(crate) async fn forget(&self, id: Uuid) -> Result<bool, ServerError> {
+        // The row first: a job without files would be a promise that is not kept.
+        let known = self.table.delete(id).await?;
+        let (running, _) = {
+            let mut here = self.here();
+            here.asked.remove(&id);
+            (here.running.get(&id).cloned(), here.answers.remove(&id))
+        };
+        running.into_iter().for_each(|running| running.deleted.cancel());
+        if let Err(error) = self.files.delete_below(&Self::folder(id)).await {
+            tracing::warn!(%id, %error, "files of a deleted job are left for the clean-up");
+        }
+        Ok(known)
+    }
+
+    /// Forgets the jobs whose time is over.
+    ///
+    /// # Errors
+    /// [`ServerError::JobStore`].
+    pub(crate) async fn expire(&self) -> Result<(), ServerError> {
+        for id in self.table.finished_before(self.finished_since()).await? {
+            self.forget(id).await?;
+        }
+        Ok(())
+    }
+
+    /// The result of a job was sent: its job makes room first.
+    pub(crate) fn fetched(self: &Arc<Self>, id: Uuid) {
+        self.here().fetched.push(id);
+        let jobs = Arc::clone(self);
+        tokio::spawn(async move {
+            if let Err(error) = jobs.note_fetched().await {
+                tracing::warn!(%error, "a result was sent and does not count as fetched");
+            }
+        });
+    }
+
+    async fn note_fetched(&self) -> Result<(), JobsError> {
+        let sent = std::mem::take(&mut self.here().fetched);
+        for id in sent {
+            self.table.fetched(id).await?;
+        }
+        Ok(())
+    }
+
+    /// Somebody asks about a job.
+    pub(crate) fn ask(&self, id: Uuid) {
+        if !self.durable {
+            self.here().asked.insert(id, Instant::now());
+        }
+    }
+
+    /// When somebody asked about a job last.
+    pub(crate) fn asked(&self, id: Uuid) -> Option<Instant> {
+        self.here().asked.get(&id).copied()
+    }
+
+    /// A job is worked on here, until the guard is dropped.
+    pub(crate) fn begin(self: &Arc<Self>, id: Uuid, running: Running) -> BeingDone {
+        self.here().running.insert(id, running);
+        BeingDone { jobs: Arc::clone(self), id }
+    }
+
+    /// The work on a job, if it is done here.
+    pub(crate) fn running(&self, id: Uuid) -> Option<Running> {
+        self.here().running.get(&id).cloned()
+    }
+
+    /// Owners that have `share` jobs in work here, or more.
+    pub(crate) fn full_owners(&self, share: usize) -> Vec<String> {
+        let mut counts: HashMap<String, usize> = HashMap::new();
+        for running in self.here().running.values() {
+            if !Owners::is_unknown(&running.owner) {
+                *counts.entry(running.owner.clone()).or_default() += 1;
+            }
+        }
+        counts.into_iter().filter(|(_, count)| *count >= share).map(|(owner, _)| owner).collect()
+    }
+
+    /// What is written of a job's result, shared by its readers.
+    pub(crate) fn answers(&self, id: Uuid) -> Arc<Answers> {
+        let mut here = self.here();
+        // One that no reader holds has nothing that is worth to be kept.
+        here.answers.retain(|_, answers| Arc::strong_count(answers) > 1 || answers.is_read());
+        Arc::clone(here.answers.entry(id).or_default())
+    }
+}
+
+/// A job is worked on here, as long as this lives.
+pub(crate) struct BeingDone {
+    jobs: Arc<Jobs>,
+    id: Uuid,
+}
+
+impl Drop for BeingDone {
+    fn drop(&mut self) {
+        self.jobs.here().running.remove(&self.id);
+    }
+}
+
+impl From<JobsError> for ServerError {
+    fn from(error: JobsError) -> Self {
+        if error.is_lasting() {
+            return Self::Internal(error.to_string());
+        }
+        tracing::error!(%error, "jobs cannot be kept or found");
+        Self::JobStore { retry_after: STORE_RETRY }
+    }
+}

@@ -1,0 +1,201 @@
+//! `POST /jobs`: an order is accepted once its song and itself are stored.
+
+use std::sync::Arc;
+
+use axum::{
+    Json,
+    extract::{Extension, Request, State},
+    http::{HeaderName, HeaderValue, StatusCode, header},
+    response::{IntoResponse, Response},
+};
+use bailando_jobs::{Inserted, JobRecord, NewJob, now};
+use bytes::Bytes;
+use tokio_util::task::task_tracker::TaskTrackerToken;
+use uuid::Uuid;
+
+use super::last_words;
+use crate::server::{
+    error::ServerError,
+    intake::{self, Order, Purpose},
+    jobs::{
+        order::{Prepared, StoredOrder, from_text, to_text},
+        service::Jobs,
+        status::JobStatus,
+    },
+    layers::{client::Client, envelope::request_id},
+    options::RequestOptions,
+    response::documented::NewJobErrors,
+    state::SharedState,
+    upload::body::IncomingBody,
+    workers,
+};
+
+/// Bytes that are handed to the store at once.
+const PIECE: usize = 1 << 20;
+/// Says that the job was ordered before, with the same `Idempotency-Key`.
+const REPLAYED: HeaderName = HeaderName::from_static("idempotency-replayed");
+
+/// Orders a dance that is fetched later.
+///
+/// The same input as `POST /generate`, and options of the job itself. The answer comes once the song
+/// and the order are stored: from then on the job is done even if the server dies meanwhile. Jobs
+/// run beside other requests, on half of the places to work in (at least one).
+#[utoipa::path(
+    post,
+    path = "/jobs",
+    operation_id = "create_job",
+    tag = "jobs",
+    params(
+        RequestOptions,
+        ("priority" = Option<i64>, Query,
+            description = "Jobs of a higher priority begin first, -100 to 100. Default: 0."),
+        ("expires_s" = Option<f64>, Query,
+            description = "Seconds after which the job fails if it has not begun, up to a year. \
+                Default: never."),
+        ("callback_url" = Option<String>, Query,
+            description = "Where the end of the job is told: a POST of `type` and `data`, a \
+                JobStatus, signed as Standard Webhooks says. The server's settings say which hosts \
+                it calls. Default: nowhere."),
+        ("idempotency-key" = Option<String>, Header,
+            description = "The caller's name for this request, 1 to 255 visible characters: sent \
+                again with the same song and options, it gives the same job."),
+    ),
+    responses(
+        (
+            status = 202,
+            description = "The job is accepted, or was before with the same key.",
+            body = JobStatus,
+            headers(
+                ("location" = String, description = "Where the job is asked about."),
+                ("x-request-id" = String, description = "The request's id."),
+            )
+        ),
+        NewJobErrors,
+    )
+)]
+pub(crate) async fn create(
+    State(state): State<SharedState>,
+    Extension(client): Extension<Client>,
+    request: Request,
+) -> Result<Response, ServerError> {
+    let id = request_id(&request).to_owned();
+    let (parts, body) = request.into_parts();
+    let body = IncomingBody::new(body);
+    let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
+    let accepted = state.in_time(async {
+        let order = intake::receive(&state, Purpose::Job, parts, body).await?;
+        let accepted = accept(&state, client, id, &order).await;
+        order.waiting.answered();
+        accepted
+    });
+    let (job, replayed) = accepted.await?;
+    workers::start(&state);
+    state.jobs.wake.notify_one();
+    let location = HeaderValue::try_from(format!("/jobs/{}", job.id))
+        .map_err(|error| ServerError::Internal(error.to_string()))?;
+    let status = JobStatus::of(&state.jobs, &job)?;
+    keep_alive(&state, &job, under_way);
+    let mut response =
+        (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(status)).into_response();
+    if replayed {
+        response.headers_mut().insert(REPLAYED, HeaderValue::from_static("true"));
+    }
+    Ok(response)
+}
+
+/// Stores an order; the job, and whether it was known before.
+async fn accept(
+    state: &SharedState,
+    client: Client,
+    request_id: String,
+    order: &Order,
+) -> Result<(JobRecord, bool), ServerError> {
+    let jobs = &state.jobs;
+    let owner = jobs.owners().name(client);
+    let model = order.engine.model_sha256();
+    let prepared = {
+        let (options, audio) = (order.options.clone(), order.audio.clone());
+        let (format, model) = (order.shape.format, model.to_owned());
+        let prepare = move || Ok(StoredOrder::prepare(&options, format, &audio, &model));
+        crate::server::blocking::blocking(&state.metrics, "order", prepare).await?
+    };
+    if let Some(key) = &order.job.idempotency_key
+        && let Some(known) = jobs.table.find_idempotent(&owner, key).await?
+    {
+        return Ok((same(known, &prepared)?, true));
+    }
+    jobs.make_room(&owner).await?;
+    let id = Uuid::new_v4();
+    let job = NewJob {
+        id,
+        request_id,
+        priority: order.job.priority.unwrap_or(0),
+        expires_at: order.job.expires_s.map(|wait| now().saturating_add((wait * 1e3) as i64)),
+        model: model.to_owned(),
+        content_key: prepared.content_key.clone(),
+        idempotency_key: order.job.idempotency_key.clone(),
+        order_bytes: i64::try_from(order.audio.len()).unwrap_or(i64::MAX),
+        result: known_result(jobs, &prepared, id).await,
+        callback_url: order.job.callback_url.clone(),
+        ..NewJob::new(&owner, &to_text(&prepared.order)?)
+    };
+    let kept = keep(jobs, job, order.audio.clone()).await;
+    if !matches!(kept, Ok(Inserted::New)) {
+        // Nobody will ask for it; what is left is swept.
+        drop(jobs.files.delete_below(&Jobs::folder(id)).await);
+    }
+    match kept? {
+        Inserted::Known(known) => Ok((same(*known, &prepared)?, true)),
+        Inserted::New => {
+            let gone = || ServerError::NoJob { id: id.to_string() };
+            Ok((jobs.table.find(id).await?.ok_or_else(gone)?, false))
+        }
+    }
+}
+
+/// Stores the song first: a row without its song would be a job that cannot be done.
+async fn keep(jobs: &Jobs, job: NewJob, audio: Bytes) -> Result<Inserted, ServerError> {
+    if job.result.is_none() {
+        let mut writer = jobs.files.write(&Jobs::song(job.id));
+        let mut rest = audio;
+        while !rest.is_empty() {
+            let piece = rest.split_to(PIECE.min(rest.len()));
+            if let Err(error) = writer.push(piece).await {
+                writer.abort().await;
+                return Err(error.into());
+            }
+        }
+        writer.finish().await?;
+    }
+    Ok(jobs.table.insert(job).await?)
+}
+
+/// A copy of the result of the same order, where there is one.
+async fn known_result(jobs: &Jobs, prepared: &Prepared, id: Uuid) -> Option<(String, i64)> {
+    if !prepared.repeats {
+        return None;
+    }
+    let since = jobs.finished_since();
+    let known = jobs.table.find_result(&prepared.content_key, since).await.ok()??;
+    let text = known.result?;
+    let copied = jobs.files.copy_below(&Jobs::folder(known.id), &Jobs::folder(id), "song").await;
+    // Without it the dance is made again.
+    copied.ok().filter(|files| *files > 0).map(|_| (text, known.result_bytes))
+}
+
+/// The job of an idempotency key, if it was ordered by the same request.
+fn same(known: JobRecord, prepared: &Prepared) -> Result<JobRecord, ServerError> {
+    let order: StoredOrder = from_text(known.id, &known.order)?;
+    match order.fingerprint == prepared.order.fingerprint {
+        true => Ok(known),
+        false => Err(ServerError::KeyReused),
+    }
+}
+
+/// Where jobs end with the process, it ends only when the job has, and its result was fetched or
+/// nobody asks for it any more.
+fn keep_alive(state: &SharedState, job: &JobRecord, under_way: TaskTrackerToken) {
+    if !state.jobs.durable {
+        tokio::spawn(last_words::wait(Arc::clone(state), job.id, under_way));
+    }
+}

@@ -1,0 +1,147 @@
+//! Several replicas with one database and one store.
+
+use std::{collections::HashMap, path::Path, sync::atomic::Ordering, time::Duration};
+
+use bailando::server::{JobStorage, Limits, Role, Seconds, StorageConfig};
+use bailando_testkit::postgres::Postgres;
+
+use crate::server::{
+    client::eventually,
+    durable::{header, in_folder, json, order, server, stop, until, with_limits},
+    fake::{BLOCK, Fake},
+    lifecycle::{Server, get, post_to},
+};
+
+/// With PostgreSQL where it is installed, else with SQLite.
+async fn shared(folder: &Path, postgres: Option<&Postgres>) -> JobStorage {
+    let Some(postgres) = postgres else { return in_folder(folder).await };
+    let config = StorageConfig {
+        data_dir: Some(folder.to_path_buf()),
+        database: Some(postgres.url()),
+        ..StorageConfig::default()
+    };
+    config.open().await.unwrap()
+}
+
+fn start_postgres() -> Option<Postgres> {
+    tokio::task::block_in_place(Postgres::start)
+}
+
+fn delete(path: &str) -> Vec<u8> {
+    format!("DELETE {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n").into_bytes()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_apis_and_three_workers_share_the_jobs() {
+    const JOBS: usize = 40;
+    let (folder, postgres) = (tempfile::tempdir().unwrap(), start_postgres());
+    let storage = async || shared(folder.path(), postgres.as_ref()).await;
+    let fakes = [(); 3].map(|()| Fake::new());
+    let apis = [
+        server(&fakes[0], storage().await, Role::Api).await,
+        server(&fakes[0], storage().await, Role::Api).await,
+    ];
+    let mut paths = Vec::new();
+    for job in 0..JOBS {
+        paths.push(order(&apis[job % 2], "", BLOCK).await);
+    }
+    let mut workers = Vec::new();
+    for fake in &fakes {
+        workers.push(server(fake, storage().await, Role::Worker).await);
+        // All have begun before any goes on.
+        fake.wait_started(1).await;
+    }
+    fakes.iter().for_each(|fake| fake.release());
+    for (job, path) in paths.iter().enumerate() {
+        // At the other one than it was ordered at.
+        let api = &apis[(job + 1) % 2];
+        let done = until(api, path, "done").await;
+        assert_eq!(done["starts"], 1, "{done}");
+        let result = api.expect(get(&format!("{path}/result")), 200).await;
+        assert!(result.contains("\"positions\""));
+    }
+    let made = fakes.each_ref().map(|fake| fake.generations.load(Ordering::SeqCst));
+    assert_eq!(made.iter().sum::<usize>(), JOBS, "{made:?}");
+    assert!(made.iter().all(|&made| made > 0), "{made:?}");
+    let metrics = apis[0].expect(get("/metrics"), 200).await;
+    let counted = format!("bailando_jobs{{state=\"done\"}} {JOBS}");
+    assert!(metrics.contains(&counted), "{metrics}");
+    for server in workers.into_iter().chain(apis) {
+        stop(server).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn progress_is_seen_and_a_deletion_felt_across_replicas() {
+    let (folder, postgres, fake) = (tempfile::tempdir().unwrap(), start_postgres(), Fake::new());
+    let storage = async || shared(folder.path(), postgres.as_ref()).await;
+    let api = server(&fake, storage().await, Role::Api).await;
+    let worker = server(&fake, storage().await, Role::Worker).await;
+    let path = order(&api, "", BLOCK).await;
+    fake.wait_started(1).await;
+    eventually("the stage is seen", async || {
+        let status = json(&api.expect(get(&path), 200).await);
+        (status["stage"] == "decode").then_some(())
+    })
+    .await;
+    let started = json(&api.expect(get(&path), 200).await);
+    assert!(started["started_at"].as_str() >= started["created_at"].as_str(), "{started}");
+    api.expect(delete(&path), 204).await;
+    fake.wait_ended(1).await;
+    assert!(fake.saw_cancel.load(Ordering::SeqCst));
+    api.expect(get(&path), 404).await;
+    stop(worker).await;
+    stop(api).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_matters_more_is_done_first() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let api = server(&fake, in_folder(folder.path()).await, Role::Api).await;
+    let mut paths = HashMap::new();
+    for priority in [0, 9, -9, 5] {
+        let audio = format!("song {priority}");
+        paths
+            .insert(priority, order(&api, &format!("priority={priority}"), audio.as_bytes()).await);
+    }
+    let worker = server(&fake, in_folder(folder.path()).await, Role::Worker).await;
+    for path in paths.values() {
+        until(&api, path, "done").await;
+    }
+    let heard = fake.heard.lock().unwrap().clone();
+    assert_eq!(heard, ["song 9", "song 5", "song 0", "song -9"].map(str::as_bytes));
+    stop(worker).await;
+    stop(api).await;
+}
+
+/// Stopped and started again under load: 503 with Retry-After meanwhile, then all is well.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_that_goes_and_comes_back_costs_nothing() {
+    let Some(mut postgres) = start_postgres() else { return };
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    // Longer than the database is away.
+    let limits = Limits { job_lease: Seconds(Duration::from_secs(60)), ..Limits::default() };
+    let storage = shared(folder.path(), Some(&postgres)).await;
+    let server: Server = with_limits(&fake, storage, Role::All, limits).await;
+    let before = order(&server, "", b"song").await;
+    until(&server, &before, "done").await;
+    let meanwhile = order(&server, "", BLOCK).await;
+    fake.wait_started(2).await;
+    tokio::task::block_in_place(|| postgres.stop());
+    for request in [post_to("/jobs", b"song"), get(&before)] {
+        let refused = server.expect(request, 503).await;
+        assert!(refused.contains("job_store"), "{refused}");
+        assert!(header(&refused, "retry-after").parse::<u64>().unwrap() > 0);
+    }
+    server.expect(post_to("/generate", b"song"), 200).await;
+    server.expect(get("/health"), 200).await;
+    // It is done while nobody can be told.
+    fake.release();
+    tokio::task::block_in_place(|| postgres.go_on());
+    let done = until(&server, &meanwhile, "done").await;
+    assert_eq!(done["starts"], 1, "it was not made twice: {done}");
+    server.expect(get(&format!("{before}/result")), 200).await;
+    let after = order(&server, "", b"song").await;
+    until(&server, &after, "done").await;
+    stop(server).await;
+}
