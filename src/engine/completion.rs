@@ -38,7 +38,6 @@ impl<T> Pending<T> {
     }
 
     /// A result that is there already.
-    #[must_use]
     pub fn ready(result: Result<T, EngineError>) -> Self {
         let (sender, receiver) = oneshot::channel();
         // The receiver is right here.

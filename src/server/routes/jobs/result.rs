@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::{
     extract::{Extension, Path, State, rejection::PathRejection},
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
+    http::{HeaderMap, HeaderValue, Uri, header},
     response::{IntoResponse, Response},
 };
 use bailando_jobs::{JobRecord, State as JobState};
@@ -12,7 +12,7 @@ use futures_util::StreamExt;
 
 use super::{find::find, range};
 use crate::{
-    formats::{OutputFormat, from_stored},
+    formats::from_stored,
     server::{
         blocking,
         error::ServerError,
