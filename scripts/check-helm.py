@@ -120,10 +120,8 @@ def check_pod(pod, values, accounts):
     assert len(chosen) == (0 if values.get("user", 1) is None else 3), chosen
     assert container["securityContext"]["readOnlyRootFilesystem"] is True
     assert container["securityContext"]["capabilities"]["drop"] == ["ALL"]
-    known = settings()
-    if "BAILANDO_ROLE" in known:
-        unknown = {name for name in environment if name.startswith("BAILANDO_")} - known
-        assert not unknown, f"the server has no settings {unknown}"
+    unknown = {name for name in environment if name.startswith("BAILANDO_")} - settings()
+    assert not unknown, f"the server has no settings {unknown}"
 
 
 def settings():
