@@ -37,8 +37,8 @@ pub enum FormatError {
     },
     /// The music has fewer bars than are wanted.
     #[error(
-        "{bars} bars are wanted, and the part of the song that is danced to has {found} whole ones: \
-         choose fewer `bars`, or a longer part"
+        "{bars} bars are wanted, and the part of the song that is danced to has {found} whole \
+         ones: choose fewer `bars`, or a longer part"
     )]
     Bars {
         /// Bars that are wanted.

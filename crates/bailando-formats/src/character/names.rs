@@ -105,6 +105,10 @@ impl Words {
                 (side, joined) = (Some(of), rest.to_owned());
             }
         }
+        // Of limbs in several pieces (MakeHuman), the first.
+        if joined.ends_with("01") {
+            joined.truncate(joined.len() - 2);
+        }
         Some(Self { joined, side })
     }
 }
@@ -258,6 +262,8 @@ mod tests {
             ("leftforearm", "forearm", Some(Side::Left)),
             ("左足首", "足首", Some(Side::Left)),
             ("Bip001 L Toe0", "bip001toe0", Some(Side::Left)),
+            ("upperleg01.L", "upperleg", Some(Side::Left)),
+            ("upperleg02.L", "upperleg02", Some(Side::Left)),
             ("Pelvis", "pelvis", None),
         ] {
             assert_eq!(read(name), Some((joined.to_owned(), side)), "{name}");

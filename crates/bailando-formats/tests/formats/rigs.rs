@@ -105,7 +105,7 @@ fn stepping() -> GeneratedMotion {
     let smooth = |t: f64| t.clamp(0.0, 1.0).powi(2) * (3.0 - 2.0 * t.clamp(0.0, 1.0));
     let positions = ndarray::Array3::from_shape_fn((480, 24, 3), |(frame, joint, axis)| {
         let time = frame as f64 / 60.0;
-        // Steps of half a second: how far, and how high, a foot that goes in odd or even seconds is.
+        // Where a foot is that steps in odd or in even seconds.
         let step = |parity: f64| {
             let second = (0.5 * (time - parity)).rem_euclid(2.0);
             let part = smooth(2.0 * second) - smooth(2.0 * second - 2.0);

@@ -40,6 +40,12 @@ fn read_glb(file: &[u8]) -> Danced {
     for node in gltf.nodes() {
         parents.extend(node.children().map(|child| (child.index(), node.index())));
     }
+    let at_rest = |node: gltf::Node<'_>| {
+        let (place, turn, scale) = node.transform().decomposed();
+        let turn = Quat::from_array(turn).as_dquat();
+        (Vec3::from(place).as_dvec3(), turn, f64::from(scale[0]))
+    };
+    let rest: Vec<(DVec3, DQuat, f64)> = gltf.nodes().map(at_rest).collect();
     let frames = (end * 60.0).round() as usize + 1;
     let pose = |frame: usize| {
         let time = frame as f32 / 60.0;
@@ -50,10 +56,7 @@ fn read_glb(file: &[u8]) -> Danced {
             (next - 1, next.min(times.len() - 1), f64::from(part.clamp(0.0, 1.0)))
         };
         let local = |index: usize| {
-            let node = gltf.nodes().nth(index).unwrap();
-            let (place, turn, scale) = node.transform().decomposed();
-            let mut place = Vec3::from(place).as_dvec3();
-            let mut turn = Quat::from_array(turn).as_dquat();
+            let (mut place, mut turn, scale) = rest[index];
             if let Some((times, all)) = turns.get(&index) {
                 let (from, to, part) = around(times);
                 turn = all[from].slerp(all[to], part);
@@ -62,9 +65,9 @@ fn read_glb(file: &[u8]) -> Danced {
                 let (from, to, part) = around(times);
                 place = all[from].lerp(all[to], part);
             }
-            (place, turn, f64::from(scale[0]))
+            (place, turn, scale)
         };
-        let locals: Vec<_> = (0..gltf.nodes().count()).map(local).collect();
+        let locals: Vec<_> = (0..rest.len()).map(local).collect();
         let world = |index: usize| {
             let mut chain = vec![index];
             while let Some(&parent) = parents.get(&chain[chain.len() - 1]) {
