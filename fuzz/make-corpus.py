@@ -533,11 +533,132 @@ def graphs():
     write("graph", "bad-long-tag", places["initializer"](inside) + varint(13 << 3 | 1 << 40) + b"\0")
 
 
+# --- rig -----------------------------------------------------------------------------------------
+
+# Joints of a person of 1 m: name, parent, place.
+PERSON = [
+    ("Hips", None, (0, 0.53, 0)),
+    ("Spine", 0, (0, 0.6, 0)),
+    ("Chest", 1, (0, 0.74, 0)),
+    ("Neck", 2, (0, 0.84, 0)),
+    ("Head", 3, (0, 0.9, 0)),
+]
+for side, sign in (("Left", 1), ("Right", -1)):
+    chest = 2
+    first = len(PERSON)
+    PERSON += [
+        (f"{side}Arm", chest, (sign * 0.1, 0.81, 0)),
+        (f"{side}ForeArm", first, (sign * 0.27, 0.81, 0)),
+        (f"{side}Hand", first + 1, (sign * 0.42, 0.81, 0)),
+        (f"{side}UpLeg", 0, (sign * 0.05, 0.5, 0)),
+        (f"{side}Leg", first + 3, (sign * 0.05, 0.28, 0.005)),
+        (f"{side}Foot", first + 4, (sign * 0.05, 0.05, -0.01)),
+        (f"{side}ToeBase", first + 5, (sign * 0.06, 0.012, 0.07)),
+    ]
+
+
+def from_parent(index):
+    _, parent, place = PERSON[index]
+    above = (0, 0, 0) if parent is None else PERSON[parent][2]
+    return [round(a - b, 6) for a, b in zip(place, above)]
+
+
+def below(index):
+    return [child for child, (_, parent, _) in enumerate(PERSON) if parent == index]
+
+
+def bvh(names=lambda name: name, scale=100, channels="3"):
+    def joint(index, depth):
+        kind = "ROOT" if depth == 0 else "JOINT"
+        place = " ".join(str(scale * value) for value in from_parent(index))
+        places = "6 Xposition Yposition Zposition" if depth == 0 else channels
+        inside = "".join(joint(child, depth + 1) for child in below(index))
+        if not inside:
+            inside = "End Site\n{\nOFFSET 0 0 4\n}\n"
+        channel = f"CHANNELS {places} Zrotation Xrotation Yrotation"
+        return f"{kind} {names(PERSON[index][0])}\n{{\nOFFSET {place}\n{channel}\n{inside}}}\n"
+
+    return "HIERARCHY\n" + joint(0, 0) + "MOTION\nFrames: 0\nFrame Time: 0.03\n"
+
+
+def glb(names=lambda name: name, binary=None, change=lambda document: None):
+    nodes = [
+        {"name": names(name), "translation": from_parent(index), "children": below(index)}
+        for index, (name, _, _) in enumerate(PERSON)
+    ]
+    for node in nodes:
+        if not node["children"]:
+            del node["children"]
+    document = {"asset": {"version": "2.0"}, "nodes": nodes}
+    if binary is not None:
+        document["buffers"] = [{"byteLength": len(binary)}]
+        document["bufferViews"] = [{"buffer": 0, "byteLength": len(binary)}]
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I", len(text)) + b"JSON" + text
+    if binary is not None:
+        binary += bytes(-len(binary) % 4)
+        chunks += struct.pack("<I", len(binary)) + b"BIN\0" + binary
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+def rigs():
+    def changed(**members):
+        return glb(change=lambda document: document.update(members))
+
+    def node(index, **members):
+        return glb(change=lambda document: document["nodes"][index].update(members))
+
+    numbers = iter(range(1000))
+    human = {"hips": 0, "head": 4}
+    for side, first in (("left", 5), ("right", 12)):
+        for at, part in enumerate(
+            ("UpperArm", "LowerArm", "Hand", "UpperLeg", "LowerLeg", "Foot", "Toes")
+        ):
+            human[side + part] = first + at
+    vrm1 = {"VRMC_vrm": {"humanoid": {"humanBones": {k: {"node": v} for k, v in human.items()}}}}
+    bones = [{"bone": name, "node": index} for name, index in human.items()]
+    vrm0 = {"VRM": {"humanoid": {"humanBones": bones + [{"bone": "jaw", "node": -1}]}}}
+
+    write("rig", "good-bvh", bvh())
+    write("rig", "good-bvh-metres-crlf", bvh(scale=1).replace("\n", "\r\n"))
+    write("rig", "good-bvh-six-channels", bvh(channels="6 Xposition Yposition Zposition"))
+    write("rig", "good-bvh-shape", bvh(names=lambda _: f"b{next(numbers)}"))
+    write("rig", "good-glb", glb())
+    write("rig", "good-glb-binary", glb(binary=bytes(range(40))))
+    write("rig", "good-glb-shape", glb(names=lambda _: f"b{next(numbers)}"))
+    write("rig", "good-vrm0", changed(extensions=vrm0))
+    write("rig", "good-vrm1", changed(extensions=vrm1))
+    write("rig", "good-glb-matrix", glb(change=as_matrix))
+    write("rig", "bad-nothing", "")
+    write("rig", "bad-bvh-nan", bvh().replace("OFFSET 0.0", "OFFSET nan", 1))
+    write("rig", "bad-bvh-no-end", bvh().split("MOTION")[0])
+    write("rig", "bad-bvh-still", bvh().replace("6 Xposition Yposition Zposition", "3"))
+    write("rig", "bad-bvh-flat", bvh(scale=0))
+    write("rig", "bad-bvh-deep", "HIERARCHY\n" + "ROOT a\n{\n" + "JOINT a\n{\n" * 2100)
+    write("rig", "bad-glb-cycle", node(4, children=[0]))
+    write("rig", "bad-glb-two-parents", node(4, children=[7]))
+    write("rig", "bad-glb-no-node", node(4, children=[99]))
+    write("rig", "bad-glb-zero-turn", node(2, rotation=[0, 0, 0, 0]))
+    write("rig", "bad-glb-huge", node(2, translation=[1e308, 1e308, 1e308]))
+    write("rig", "bad-glb-uneven", node(0, scale=[1, 2, 1]))
+    write("rig", "bad-glb-long", glb()[:-4])
+    write("rig", "bad-glb-no-buffer", glb(binary=b"1234").replace(b"byteLength", b"byteLongth"))
+    write("rig", "bad-vrm-node", changed(extensions={"VRMC_vrm": {"humanoid": {"humanBones": {"hips": {"node": 99}}}}}))
+
+
+def as_matrix(document):
+    for node in document["nodes"]:
+        x, y, z = node.pop("translation")
+        node["matrix"] = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, x, y, z, 1]
+
+
 def main():
     for path in (HERE / "corpus").glob("*/*"):
         if not path.name.startswith("found-"):
             path.unlink()
-    for make in (containers, options, manifests, checkpoints, graphs):
+    for make in (containers, options, manifests, checkpoints, graphs, rigs):
         make()
     size = sum(path.stat().st_size for path in (HERE / "corpus").glob("*/*"))
     print(f"{size} bytes in fuzz/corpus")

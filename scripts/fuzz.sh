@@ -15,7 +15,7 @@ fail() {
 [ $# -gt 0 ] || fail "usage: scripts/fuzz.sh SECONDS [TARGET ..]"
 seconds=$1
 shift
-[ $# -gt 0 ] || set -- container options manifest graph checkpoint
+[ $# -gt 0 ] || set -- container options manifest graph checkpoint rig
 
 cargo +nightly --version >/dev/null 2>&1 || fail "fuzzing needs a nightly compiler.
   Install it: rustup toolchain install nightly --profile minimal

@@ -7,7 +7,7 @@ use bailando_testkit::{model::tiny_dancer, project};
 use ndarray::{Array2, Array3};
 use tempfile::TempDir;
 
-const SONG: &str = "tests/fixtures/audio/demo.ogg";
+pub(crate) const SONG: &str = "tests/fixtures/audio/demo.ogg";
 /// Eight seconds.
 const WAV: &str = "tests/fixtures/audio/demo_44k1_8s.wav";
 
@@ -32,19 +32,19 @@ fn succeeds(mut command: Command) -> (String, String) {
 }
 
 /// A command in the project's folder with the tiny model, the arguments separated by spaces.
-fn in_project(arguments: &str) -> Command {
+pub(crate) fn in_project(arguments: &str) -> Command {
     let arguments: Vec<&str> = arguments.split_whitespace().collect();
     let mut command = bailando(&project(""), &arguments);
     command.env("BAILANDO_MODEL_DIR", tiny_dancer());
     command
 }
 
-fn succeed(arguments: &str) -> String {
+pub(crate) fn succeed(arguments: &str) -> String {
     succeeds(in_project(arguments)).0
 }
 
 /// Exit code and standard error of a command that must not work.
-fn fail(arguments: &str) -> (Option<i32>, String) {
+pub(crate) fn fail(arguments: &str) -> (Option<i32>, String) {
     let output = in_project(arguments).output().expect("the binary runs");
     assert!(!output.status.success(), "{arguments} worked");
     let errors = String::from_utf8(output.stderr).expect("UTF-8");
@@ -56,16 +56,16 @@ fn manifest() -> Manifest {
     directory.manifest().clone()
 }
 
-fn folder() -> TempDir {
+pub(crate) fn folder() -> TempDir {
     tempfile::tempdir().expect("a folder")
 }
 
-fn path(folder: &TempDir, name: &str) -> String {
+pub(crate) fn path(folder: &TempDir, name: &str) -> String {
     let path = folder.path().join(name);
     path.to_str().expect("UTF-8").to_owned()
 }
 
-fn json(path: &str) -> serde_json::Value {
+pub(crate) fn json(path: &str) -> serde_json::Value {
     let text = fs::read(path).expect("a file");
     serde_json::from_slice(&text).expect("JSON")
 }

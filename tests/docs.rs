@@ -115,6 +115,7 @@ impl Workplace {
         for (name, of) in [("song.mp3", "demo.mp3"), ("song.flac", "demo.flac")] {
             fs::copy(fixture("audio").join(of), home.join(name)).unwrap();
         }
+        fs::write(home.join("hero.glb"), bailando_testkit::rigs::mixamo(1.7).bytes).unwrap();
         fs::create_dir(home.join("album")).unwrap();
         for name in ["album/first.wav", "album/second.wav"] {
             fs::copy(fixture("audio/demo_44k1_8s.wav"), home.join(name)).unwrap();

@@ -26,6 +26,11 @@ fn manifests() {
 }
 
 #[test]
+fn rigs() {
+    corpus("rig").run(1_000, fuzzing::rig);
+}
+
+#[test]
 fn graphs() {
     corpus("graph").run(5_000, model::graph_is_accepted);
 }

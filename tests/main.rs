@@ -10,6 +10,7 @@
 
 mod choices;
 mod cli;
+mod cli_rig;
 mod dance;
 mod docs;
 mod engine;

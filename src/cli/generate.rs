@@ -12,7 +12,7 @@ use bailando::{
     audio::AudioLimits,
     engine::{Engine, EngineConfig, GenerationRequest, MAX_CANDIDATES},
     features::{COLUMNS, with_counts},
-    formats::{Codes, GeneratedMotion, OutputFormat},
+    formats::{Character, Codes, GeneratedMotion, OutputFormat},
     motion,
     npy::read_array,
     options::RequestOptions,
@@ -20,10 +20,14 @@ use bailando::{
 use ndarray::Array2;
 
 use super::{
-    console::{STANDARD, Talk, Usage, detail, note, positive_seconds, read_file, say, say_error},
+    console::{
+        STANDARD, Talk, Usage, detail, note, positive_seconds, read_file, say, say_error,
+        write_file,
+    },
     inputs::audio_files,
     output::{FileFormat, OutputArgs, check_folder_of, write_positions},
     progress::Bar,
+    rig::RigArgs,
 };
 
 /// Make dances from audio files, or codes and positions from feature rows
@@ -31,7 +35,10 @@ use super::{
 #[command(allow_negative_numbers = true)]
 pub(super) struct GenerateArgs {
     /// Songs (wav, aiff, flac, mp3, ogg, webm, m4a), folders of them, or `-` for standard input
-    #[arg(required_unless_present = "features", conflicts_with = "features")]
+    #[arg(
+        required_unless_present_any = ["features", "print_mapping"],
+        conflicts_with_all = ["features", "print_mapping"]
+    )]
     audio: Vec<PathBuf>,
     /// Look for songs in sub-folders too; --out-dir gets the same sub-folders
     #[arg(long, conflicts_with = "features")]
@@ -55,6 +62,8 @@ pub(super) struct GenerateArgs {
     )]
     max_audio_seconds: f64,
     #[command(flatten)]
+    rig: RigArgs,
+    #[command(flatten)]
     rows: RowsArgs,
 }
 
@@ -69,8 +78,8 @@ struct RowsArgs {
         value_name = "F.npy",
         conflicts_with_all = [
             "output", "out_dir", "include_rotations", "encoding", "bvh_unit", "skeleton",
-            "mannequin", "offset_s", "duration_s", "fps", "root_motion", "clean", "positions",
-            "music", "max_audio_seconds", "candidates",
+            "mannequin", "offset_s", "duration_s", "fps", "root_motion", "mirror", "clean",
+            "positions", "bars", "loop", "music", "max_audio_seconds", "candidates",
         ]
     )]
     features: Option<PathBuf>,
@@ -83,10 +92,20 @@ struct RowsArgs {
 }
 
 pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<()> {
+    if args.rig.print_mapping {
+        return print_mapping(&args.rig);
+    }
     match &args.rows.features {
         Some(features) => from_rows(args, features),
         None => from_audio(args),
     }
+}
+
+fn print_mapping(rig: &RigArgs) -> anyhow::Result<()> {
+    if let Some(rig) = rig.read()? {
+        say(&serde_json::to_string_pretty(rig.mapping())?);
+    }
+    Ok(())
 }
 
 impl GenerateArgs {
@@ -105,15 +124,18 @@ impl GenerateArgs {
 /// Tries every song; fails at the end when one did not work.
 fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
     let inputs = audio_files(&args.audio, args.recursive)?;
-    let targets = args.output.targets(&inputs)?;
+    let rig = args.rig.read()?;
+    let targets = args.output.targets(&inputs, rig.as_ref().map(Character::format))?;
     let engine = args.open()?;
     engine.check(&args.options.generation(OutputFormat::Bvh))?;
     let mut failures = 0;
     let songs = inputs.len();
     for (input, target) in inputs.iter().zip(targets) {
         let danced = target.map_err(anyhow::Error::from);
-        let danced = danced
-            .and_then(|(target, format)| one_song(args, &engine, &input.path, &target, format));
+        let danced = danced.and_then(|target| {
+            let (target, format) = (&target.0, target.1);
+            one_song((args, rig.as_ref()), &engine, &input.path, (target, format))
+        });
         if let Err(error) = danced {
             let error = error.context(input.path.display().to_string());
             failures += 1;
@@ -128,11 +150,10 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
 }
 
 fn one_song(
-    args: &GenerateArgs,
+    (args, rig): (&GenerateArgs, Option<&Character>),
     engine: &Engine,
     input: &Path,
-    target: &Path,
-    format: FileFormat,
+    (target, format): (&Path, FileFormat),
 ) -> anyhow::Result<()> {
     let started = Instant::now();
     let audio = read_file(input)?;
@@ -141,9 +162,12 @@ fn one_song(
     let request = GenerationRequest::audio(audio, options).with_progress(Arc::clone(&bar) as _);
     let output = engine.generate(request)?;
     let timings = output.timings;
-    let dance = output.into_motion(engine.manifest());
+    let dance = args.options.looped(output.into_motion(engine.manifest()))?;
     drop(bar);
-    args.output.write(&dance, target, format, &args.options)?;
+    match rig {
+        Some(rig) => write_file(target, rig.dance(&dance, args.options.plants_feet())?)?,
+        None => args.output.write(&dance, target, format, &args.options)?,
+    }
     detail(&format!("milliseconds: {}", serde_json::to_string(&timings)?));
     report(&dance, target, started);
     Ok(())

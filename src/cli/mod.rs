@@ -11,6 +11,7 @@ mod healthcheck;
 mod inputs;
 mod output;
 mod progress;
+mod rig;
 mod serve;
 mod study;
 

@@ -8,7 +8,7 @@ use std::{
 
 use anyhow::Context;
 use bailando::{
-    formats::{GeneratedMotion, OutputFormat},
+    formats::{GeneratedMotion, OutputFormat, RigFormat},
     motion::Positions,
     options::RequestOptions,
 };
@@ -43,6 +43,8 @@ pub(super) enum FileFormat {
     Motion(OutputFormat),
     /// Positions alone.
     Npy,
+    /// The file of the caller's own character.
+    Rig(RigFormat),
 }
 
 impl ValueEnum for FileFormat {
@@ -69,6 +71,7 @@ impl FileFormat {
         match self {
             Self::Motion(format) => format.name(),
             Self::Npy => "npy",
+            Self::Rig(format) => format.name(),
         }
     }
 
@@ -76,7 +79,7 @@ impl FileFormat {
     pub(super) fn motion(self) -> OutputFormat {
         match self {
             Self::Motion(format) => format,
-            Self::Npy => OutputFormat::Bvh,
+            Self::Npy | Self::Rig(_) => OutputFormat::Bvh,
         }
     }
 
@@ -104,14 +107,22 @@ pub(super) type Target = Result<(PathBuf, FileFormat), Usage>;
 
 impl OutputArgs {
     /// Chooses one output per input, before any work is done.
-    pub(super) fn targets(&self, inputs: &[Input]) -> anyhow::Result<Vec<Target>> {
+    /// They are files of the character `rig` where there is one.
+    pub(super) fn targets(
+        &self,
+        inputs: &[Input],
+        rig: Option<RigFormat>,
+    ) -> anyhow::Result<Vec<Target>> {
         match (&self.output, &self.out_dir, inputs) {
-            (Some(output), None, [_]) => Ok(vec![Ok((output.clone(), self.format_of(output)?))]),
+            (Some(output), None, [_]) => {
+                Ok(vec![Ok((output.clone(), self.format_of(output, rig)?))])
+            }
             (Some(_), None, _) => {
                 Err(Usage("several songs need --out-dir instead of --output".into()).into())
             }
             (_, Some(folder), _) => {
-                let format = self.format.unwrap_or(FileFormat::Motion(OutputFormat::Bvh));
+                let format = rig.map(FileFormat::Rig).or(self.format);
+                let format = format.unwrap_or(FileFormat::Motion(OutputFormat::Bvh));
                 targets_in(folder, format, inputs)
             }
             (None, None, _) => {
@@ -121,7 +132,10 @@ impl OutputArgs {
     }
 
     /// The format of the one file to write.
-    fn format_of(&self, output: &Path) -> Result<FileFormat, Usage> {
+    fn format_of(&self, output: &Path, rig: Option<RigFormat>) -> Result<FileFormat, Usage> {
+        if let Some(rig) = rig {
+            return rig_format_of(output, rig);
+        }
         if output.as_os_str() == STANDARD {
             let problem = || Usage(format!("--output - needs --format: {}", FileFormat::names()));
             return self.format.ok_or_else(problem);
@@ -186,6 +200,22 @@ pub(super) fn targets_in(
         songs.entry(target).or_insert(path);
     }
     Ok(targets)
+}
+
+/// The format of the one file of a character: its own.
+fn rig_format_of(output: &Path, rig: RigFormat) -> Result<FileFormat, Usage> {
+    if output.as_os_str() != STANDARD {
+        check_folder_of(output)?;
+        let extension = output.extension().and_then(|extension| extension.to_str());
+        if !extension.is_some_and(|extension| extension.eq_ignore_ascii_case(rig.name())) {
+            return Err(Usage(format!(
+                "{}: a dance on this character is a .{} file as it is",
+                output.display(),
+                rig.name()
+            )));
+        }
+    }
+    Ok(FileFormat::Rig(rig))
 }
 
 /// Checks that a file's folder exists, before hours of work instead of after.

@@ -23,7 +23,7 @@ use super::{
     observer::guarded,
     pose::pose,
     progress::spent,
-    prompt::{Ending, Prompt},
+    prompt::{Ending, Moved, Prompt},
 };
 use crate::{
     formats::{MusicInfo, Timings},
@@ -36,7 +36,7 @@ pub(crate) struct Prologue {
     pub(crate) directory: Arc<ModelDirectory>,
     pub(crate) seed: u64,
     pub(crate) prompt: Prompt,
-    pub(crate) root_motion: bool,
+    pub(crate) moved: Moved,
     /// Frames of decoded motion that are wanted, once the length of the song is known.
     pub(crate) length: Option<usize>,
     pub(crate) music: Option<MusicInfo>,
@@ -59,7 +59,7 @@ impl Prologue {
             directory,
             seed,
             prompt: Prompt::of(options),
-            root_motion: options.root_motion,
+            moved: Moved { travels: options.root_motion, mirrored: options.mirror },
             length: None,
             music: None,
             style: None,
@@ -93,7 +93,9 @@ impl MotionBuffer {
     pub(crate) fn new(prologue: Prologue, sink: MotionSink, progress: Arc<dyn Progress>) -> Self {
         let Prompt { codes, heading, shown, .. } = &prologue.prompt;
         let frame = prologue.directory.manifest().motion_frame;
-        let to_world = ToWorld::new(frame, f64::from(*heading));
+        // What is shown turns the other way in a mirror.
+        let heading = if prologue.moved.mirrored { -*heading } else { *heading };
+        let to_world = ToWorld::new(frame, f64::from(heading));
         Self {
             chunks: ChunkDecoder::new(codes.clone(), to_world)
                 .resuming(*shown)
@@ -149,7 +151,7 @@ impl MotionBuffer {
         let ending = Ending { walked, heading: heading as f32, frames: self.chunks.frames() };
         let codes = &last.codes;
         let prompt = &prologue.prompt;
-        let tail = prompt.tail(codes, ending, prologue.root_motion, &prologue.directory);
+        let tail = prompt.tail(codes, ending, prologue.moved, &prologue.directory);
         Ok(GenerationOutput {
             seed: prologue.seed,
             codes: halves(codes),

@@ -59,6 +59,8 @@ pub struct GenerationOptions {
     pub fps: u32,
     /// Whether the dancer travels; `false` holds x and z of the root at 0 and keeps y.
     pub root_motion: bool,
+    /// Whether left and right are exchanged.
+    pub mirror: bool,
     /// Whether the motion is cleaned: feet held in place, joints within their limits, no jitter.
     pub clean: bool,
     /// Where positions come from; the decoder's own exist at its frame rate and without clean-up.
@@ -105,6 +107,7 @@ impl Default for GenerationOptions {
             range: AudioRange::default(),
             fps: 60,
             root_motion: true,
+            mirror: false,
             clean: true,
             positions: PositionsSource::ForwardKinematics,
             music: false,

@@ -216,6 +216,7 @@ fn finish_options(request: &AcceptedRequest, decoded_fps: u32) -> FinishOptions 
     FinishOptions {
         fps: options.fps,
         root_motion: options.root_motion,
+        mirror: options.mirror,
         decoded_fps,
         start: request.prologue.prompt.place,
         clean: options.clean,

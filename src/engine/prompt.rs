@@ -39,6 +39,15 @@ pub(crate) struct Ending {
     pub(crate) frames: usize,
 }
 
+/// What becomes of the path of a decoded motion.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Moved {
+    /// Whether the dancer travels, or is held in place.
+    pub(crate) travels: bool,
+    /// Whether left and right are exchanged.
+    pub(crate) mirrored: bool,
+}
+
 impl Prompt {
     /// Of the options, whose check has found the tail's halves to be of one length.
     pub(crate) fn of(options: &GenerationOptions) -> Self {
@@ -66,7 +75,7 @@ impl Prompt {
         &self,
         codes: &[[u32; 2]],
         ending: Ending,
-        root_motion: bool,
+        moved: Moved,
         directory: &ModelDirectory,
     ) -> Option<Continuation> {
         let manifest = directory.manifest();
@@ -77,16 +86,18 @@ impl Prompt {
         let count = (manifest.decoder.receptive_codes + 1).min(LONGEST_TAIL);
         let (codes, shown) = self.shown_codes(codes, ending.frames, manifest.frames_per_code);
         let codes = halves(&codes[codes.len().saturating_sub(count)..]);
-        let place = self.place_after(ending.walked, root_motion);
+        let place = self.place_after(ending.walked, moved);
         let sha256 = directory.manifest_sha256();
-        let mut tail = Continuation::new(sha256, codes, place, ending.heading);
+        let heading = if moved.mirrored { -ending.heading } else { ending.heading };
+        let mut tail = Continuation::new(sha256, codes, place, heading);
         tail.shown = u8::try_from(shown).ok()?;
         tail.is_readable().then_some(tail)
     }
 
-    fn place_after(&self, walked: [f32; 2], root_motion: bool) -> [f32; 2] {
-        match root_motion {
-            true => [0, 1].map(|axis| self.place[axis] + walked[axis]),
+    fn place_after(&self, [x, z]: [f32; 2], moved: Moved) -> [f32; 2] {
+        let x = if moved.mirrored { -x } else { x };
+        match moved.travels {
+            true => [self.place[0] + x, self.place[1] + z],
             false => [0.0; 2],
         }
     }
@@ -114,8 +125,10 @@ mod tests {
     #[test]
     fn a_motion_ends_where_it_walked_to_or_where_it_was_held() {
         let before = Prompt { place: [3.0, -2.0], ..Prompt::default() };
-        assert_eq!(before.place_after([0.5, 1.0], true), [3.5, -1.0]);
-        assert_eq!(before.place_after([0.5, 1.0], false), [0.0, 0.0]);
+        let after = |travels, mirrored| before.place_after([0.5, 1.0], Moved { travels, mirrored });
+        assert_eq!(after(true, false), [3.5, -1.0]);
+        assert_eq!(after(true, true), [2.5, -1.0]);
+        assert_eq!(after(false, false), [0.0, 0.0]);
     }
 
     #[test]

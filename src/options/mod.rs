@@ -13,7 +13,8 @@ use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
     formats::{
-        FormatError, GeneratedMotion, JsonOptions, OutputFormat, PositionsSource, WriteOptions,
+        FormatError, GeneratedMotion, JsonOptions, LoopOptions, OutputFormat, PositionsSource,
+        WriteOptions,
     },
 };
 
@@ -90,6 +91,38 @@ impl RequestOptions {
         }
     }
 
+    /// Whether a dance on a caller's character holds its feet where they stand.
+    #[must_use]
+    pub fn plants_feet(&self) -> bool {
+        let made = self.generation(OutputFormat::default());
+        made.clean && made.root_motion
+    }
+
+    /// Keeps the bars that are wanted of a dance.
+    ///
+    /// # Errors
+    /// As [`GeneratedMotion::into_loop`].
+    pub fn looped(&self, dance: GeneratedMotion) -> Result<GeneratedMotion, FormatError> {
+        match self.bars_wanted() {
+            None => Ok(dance),
+            Some(options) => dance.into_loop(options),
+        }
+    }
+
+    fn wants_bars(&self) -> bool {
+        self.bars.is_some() || self.r#loop == Some(true)
+    }
+
+    /// Which whole bars are wanted, if any.
+    pub(crate) fn bars_wanted(&self) -> Option<LoopOptions> {
+        const BARS: usize = 4;
+        self.wants_bars().then(|| LoopOptions {
+            bars: self.bars.unwrap_or(BARS),
+            closes: self.r#loop.unwrap_or(true),
+            planted: self.plants_feet(),
+        })
+    }
+
     /// The longest part of a song in seconds that these options ask for, if they say.
     pub(crate) fn longest_seconds(&self) -> Option<f64> {
         self.duration_s
@@ -144,10 +177,11 @@ impl RequestOptions {
             },
             fps: self.fps.unwrap_or(sampling.fps),
             root_motion: self.root_motion.unwrap_or(sampling.root_motion),
+            mirror: self.mirror.unwrap_or(sampling.mirror),
             // The decoder's own positions are as decoded.
             clean: self.clean.unwrap_or(positions != PositionsSource::Decoder),
             positions,
-            music: self.music.unwrap_or(format == OutputFormat::Json),
+            music: self.music.unwrap_or(format == OutputFormat::Json) || self.wants_bars(),
             ..sampling
         }
     }
@@ -192,8 +226,9 @@ mod tests {
              &style=krump&energy=0.75&guidance=2.5&candidates=3&redo=false\
              &start_upper=1&start_lower=2\
              &continue_from=AgEjRWcAAABAPwAAAAAAAAAAAAEAAgA&window=sliding&hop=15&offset_s=1.5\
-             &duration_s=2e1&root_motion=false&clean=false&positions=decoder\
-             &music=true&include=rotations&encoding=base64&bvh_unit=m&skeleton=vrm\
+             &duration_s=2e1&root_motion=false&mirror=true&clean=false&positions=decoder\
+             &bars=8&loop=false&music=true&include=rotations&encoding=base64&bvh_unit=m\
+             &skeleton=vrm\
              &mannequin=false",
         )
         .unwrap();
@@ -230,6 +265,7 @@ mod tests {
                 range: AudioRange { offset_s: 1.5, duration_s: Some(20.0) },
                 fps: 24,
                 root_motion: false,
+                mirror: true,
                 clean: false,
                 positions: PositionsSource::Decoder,
                 music: true,
@@ -244,6 +280,22 @@ mod tests {
         assert!(!options.generation(OutputFormat::Bvh).music);
         let options = query("music=false").unwrap();
         assert!(!options.generation(OutputFormat::Json).music);
+        // Bars are the music's.
+        let options = query("music=false&bars=2").unwrap();
+        assert!(options.generation(OutputFormat::Bvh).music);
+    }
+
+    #[test]
+    fn bars_close_to_a_loop_unless_they_are_not_to() {
+        let wanted = |text: &str| {
+            let bars = query(text).unwrap().bars_wanted();
+            bars.map(|LoopOptions { bars, closes, planted }| (bars, closes, planted))
+        };
+        assert_eq!(wanted(""), None);
+        assert_eq!(wanted("loop=false"), None);
+        assert_eq!(wanted("bars=8"), Some((8, true, true)));
+        assert_eq!(wanted("loop=true"), Some((4, true, true)));
+        assert_eq!(wanted("bars=2&loop=false&clean=false"), Some((2, false, false)));
     }
 
     #[test]

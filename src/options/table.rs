@@ -128,7 +128,7 @@ macro_rules! options {
     };
     (spec $section:ident $name:ident $accepts:expr, $default:expr, $about:expr) => {
         OptionSpec {
-            name: stringify!($name),
+            name: plain(stringify!($name)),
             section: Section::$section,
             accepts: $accepts,
             default: $default,
@@ -139,6 +139,14 @@ macro_rules! options {
             },
         }
     };
+}
+
+/// A field's name without the mark of a word that the language keeps for itself.
+const fn plain(name: &'static str) -> &'static str {
+    match name.as_bytes() {
+        [b'r', b'#', ..] => name.split_at(2).1,
+        _ => name,
+    }
 }
 
 /// Names of all formats.
@@ -198,12 +206,19 @@ options! {
         fps: u32, Accepts::IntegerOf(&FRAME_RATES), "60", "Frames per second.";
         root_motion: bool, Accepts::Boolean, "true",
             "Whether the dancer travels; false holds x and z of the root at 0 and keeps y.";
+        mirror: bool, Accepts::Boolean, "false", "Whether left and right are exchanged.";
         clean: bool, Accepts::Boolean, "true, false with positions=decoder",
             "Whether to clean the motion: feet are held in place and above the floor, joints kept \
              within their limits, hands outside of the body, and jitter is removed.";
         positions: PositionsOption, Accepts::Words(&["fk", "decoder"]), "fk",
             "Where positions come from: `fk`, forward kinematics of the rotations that all formats \
              carry, or `decoder`, the decoder's own, at 60 frames a second and without clean-up.";
+        bars: usize, Accepts::Integer(1, 64), "none, 4 with loop=true",
+            "A clip of exactly this many bars of the part of the song, those whose end is most \
+             like their start.";
+        r#loop: bool, Accepts::Boolean, "false, true with bars",
+            "Whether the end of such a clip flows into its start, in pose, speed, heading and \
+             place.";
         music: bool, Accepts::Boolean, "true for json, else false",
             "Whether to find the music's tempo, beats and bars.";
     }

@@ -82,8 +82,18 @@ macro_rules! errors {
                     $(Self::$name { .. } => (StatusCode::$status, $kind),)+
                     Self::Engine(error) => classify_generation(error),
                     // The model's joints are not those that this format or skeleton needs.
-                    Self::Format(FormatError::Skeleton { .. } | FormatError::NoBone { .. }) => {
+                    Self::Format(
+                        FormatError::Skeleton { .. }
+                        | FormatError::NoBone { .. }
+                        | FormatError::Bars { .. },
+                    ) => {
                         (StatusCode::BAD_REQUEST, "invalid_option")
+                    }
+                    Self::Format(FormatError::RigTooLarge { .. }) => {
+                        (StatusCode::PAYLOAD_TOO_LARGE, "payload_too_large")
+                    }
+                    Self::Format(FormatError::Rig(_) | FormatError::Figure(_)) => {
+                        (StatusCode::UNPROCESSABLE_ENTITY, "unusable_rig")
                     }
                     Self::Format(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal"),
                 }

@@ -16,6 +16,7 @@ use super::{
         encoding::Encoding,
         negotiate::{self, Shape},
     },
+    rig::Rig,
     state::{Generate, SharedState},
     tracker::{Phase, RequestTracker, Waiting},
     upload::{self, body::IncomingBody, media::Media},
@@ -39,6 +40,8 @@ pub(crate) struct Order {
     pub(crate) client: Client,
     pub(crate) audio: Bytes,
     pub(crate) options: RequestOptions,
+    /// The caller's own character.
+    pub(crate) rig: Option<Rig>,
     pub(crate) shape: Shape,
     /// What the upload holds, until the work begins.
     pub(crate) upload: Option<UploadReservation>,
@@ -91,11 +94,25 @@ pub(crate) async fn receive(
             .await?;
         let job = upload.job.clone().unwrap_or_default();
         job.check(&state.callbacks)?;
-        let shape = shape(purpose, &upload.options, &accept)?;
+        let held = (limits, &state.metrics);
+        let rig = Rig::read(upload.rig, &upload.options, place.bytes(), held).await?;
+        let shape = match &rig {
+            Some(_) if purpose != Purpose::Dance => {
+                return Err(ServerError::Multipart(
+                    "a part `rig` goes with POST /generate alone".to_owned(),
+                ));
+            }
+            Some(rig) => Shape {
+                format: rig.motion_format(),
+                encoding: Encoding::preferred(&accept),
+                lines: false,
+            },
+            None => shape(purpose, &upload.options, &accept)?,
+        };
         engine.check(&upload.options.generation(shape.format))?;
-        Ok::<_, ServerError>((upload, job, shape, place))
+        Ok::<_, ServerError>((upload.audio, upload.options, rig, job, shape, place))
     };
-    let (upload, job, shape, place) = match received.await {
+    let (audio, options, rig, job, shape, place) = match received.await {
         Ok(received) => received,
         Err(error) => {
             waiting.answered();
@@ -106,8 +123,9 @@ pub(crate) async fn receive(
     Ok(Order {
         engine: Arc::clone(engine),
         client,
-        audio: upload.audio,
-        options: upload.options,
+        audio,
+        options,
+        rig,
         shape,
         upload: Some(place),
         job,
@@ -146,6 +164,10 @@ fn shape(
         Purpose::Job => {
             Ok(Shape { format: options.format.unwrap_or_default(), encoding, lines: false })
         }
+        Purpose::Stream if options.bars_wanted().is_some() => Err(ServerError::Option {
+            name: "loop".to_owned(),
+            problem: "a stream is of all bars: send it to POST /generate or POST /jobs".to_owned(),
+        }),
         Purpose::Stream => match options.format {
             None | Some(OutputFormat::Json) => Ok(Shape {
                 format: OutputFormat::Json,

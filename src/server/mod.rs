@@ -19,6 +19,7 @@ mod openapi;
 pub(crate) mod options;
 mod resources;
 mod response;
+mod rig;
 mod router;
 mod routes;
 mod serving;

@@ -6,7 +6,9 @@ use utoipa::{
     openapi::{
         RefOr, Required,
         path::{Parameter, ParameterBuilder, ParameterIn},
-        schema::{AdditionalProperties, KnownFormat, ObjectBuilder, Schema, SchemaFormat, Type},
+        schema::{
+            AdditionalProperties, KnownFormat, Object, ObjectBuilder, Schema, SchemaFormat, Type,
+        },
     },
 };
 
@@ -111,6 +113,22 @@ impl PartialSchema for AudioFile {
 
 impl ToSchema for AudioFile {}
 
+/// The parts of a form that are about a character of the caller's own.
+fn rig_parts() -> [(&'static str, Object); 2] {
+    let text = || ObjectBuilder::new().schema_type(Type::String);
+    let file =
+        text().format(Some(SchemaFormat::KnownFormat(KnownFormat::Binary))).description(Some(
+            "A character or skeleton of your own in its rest pose: bvh, glb or vrm. The dance \
+             comes back as the same file, on its own bones; `POST /generate` only.",
+        ));
+    let mapping = text().description(Some(
+        "JSON that says which bones of the rig are which parts of the body, as the header \
+         `x-rig-mapping` tells it: `{\"bones\": {\"hips\": \"pelvis\"}}`. Parts that it does not \
+         name are found by VRM's humanoid bones, by names, or by shape.",
+    ));
+    [("rig", file.build()), ("rig_mapping", mapping.build())]
+}
+
 /// The multipart form: the audio and any of the options, as the OpenAPI document shows it.
 pub(crate) struct GenerateForm;
 
@@ -125,7 +143,9 @@ impl PartialSchema for GenerateForm {
             schema.description = Some(about(option));
             form.property(option.name, schema)
         };
-        OPTIONS.iter().fold(form, with).into()
+        let form = OPTIONS.iter().fold(form, with);
+        let with_rig = |form: ObjectBuilder, (name, schema)| form.property(name, schema);
+        rig_parts().into_iter().fold(form, with_rig).into()
     }
 }
 

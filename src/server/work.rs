@@ -3,10 +3,12 @@
 use std::{sync::Arc, time::Duration};
 
 use super::{
+    blocking,
     config::Limits,
     error::ServerError,
     intake::Order,
     metrics::SharedMetrics,
+    options::RequestOptions,
     resources::{Permit, Stay},
     state::SharedState,
     tracker::{Held, RequestTracker, Work},
@@ -101,13 +103,34 @@ pub(crate) async fn dance(
     match output {
         Ok(output) => {
             work.free_audio();
-            Ok((output.into_motion(order.engine.manifest()), work))
+            let dance = output.into_motion(order.engine.manifest());
+            match with_bars(metrics, &order.options, dance).await {
+                Ok(dance) => Ok((dance, work)),
+                Err(error) => {
+                    drop(work.end());
+                    Err(error)
+                }
+            }
         }
         Err(error) => {
             drop(work.end());
             Err(error)
         }
     }
+}
+
+/// Keeps the bars that are wanted, off the async threads.
+async fn with_bars(
+    metrics: &SharedMetrics,
+    options: &RequestOptions,
+    dance: GeneratedMotion,
+) -> Result<GeneratedMotion, ServerError> {
+    if options.bars_wanted().is_none() {
+        return Ok(dance);
+    }
+    let options = options.clone();
+    let keep = move || options.looped(dance).map_err(ServerError::from);
+    blocking::blocking(metrics, "loop", keep).await
 }
 
 /// Waits for a generation of `kind`, which waited for a permit before, and counts it.

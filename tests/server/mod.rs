@@ -11,10 +11,12 @@ mod guard_http2;
 mod jobs;
 mod lifecycle;
 mod limits;
+mod loops;
 #[cfg(unix)]
 mod process;
 mod real;
 mod replicas;
+mod rig;
 mod streaming;
 mod surface;
 mod uploads;

@@ -36,7 +36,7 @@ static MODEL: LazyLock<Engine> = LazyLock::new(|| {
     Engine::open(&config.engine(Arc::new(()))).unwrap()
 });
 
-fn service() -> Router {
+pub(crate) fn service() -> Router {
     let engine: Arc<dyn Generate> = Arc::new(MODEL.clone());
     router(engine, Limits::default(), Access::default())
 }

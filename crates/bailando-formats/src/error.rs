@@ -35,6 +35,35 @@ pub enum FormatError {
         /// Name of the format.
         format: &'static str,
     },
+    /// The music has fewer bars than are wanted.
+    #[error(
+        "{bars} bars are wanted, and the part of the song that is danced to has {found} whole \
+         ones: choose fewer `bars`, or a longer part"
+    )]
+    Bars {
+        /// Bars that are wanted.
+        bars: usize,
+        /// Whole bars that there are.
+        found: usize,
+    },
+    /// A motion could not be changed.
+    #[error("the dance could not be changed: {0}")]
+    Motion(#[source] bailando_motion::MotionError),
+    /// A caller's rig cannot be used.
+    #[error(
+        "the rig can't be danced with: {0}. A rig is a .bvh, .glb or .vrm file of one humanoid in \
+         its rest pose"
+    )]
+    Rig(String),
+    /// A caller's rig has more bytes than are allowed.
+    #[error("the rig is larger than the {limit} bytes that a .bvh, .glb or .vrm file may have")]
+    RigTooLarge {
+        /// Most bytes.
+        limit: usize,
+    },
+    /// The bones of a caller's rig are no humanoid that could dance.
+    #[error("the rig can't be danced with: {0}; `rig_mapping` can say which bones are meant")]
+    Figure(#[source] bailando_motion::MotionError),
     /// A NumPy archive could not be written.
     #[error("the result could not be written as npz: {0}")]
     Npz(#[from] zip::result::ZipError),

@@ -204,5 +204,10 @@ fn keys_of(rig: &Rig, bone: usize, track: &[DQuat]) -> Keys<DQuat> {
 /// they move more: with two thirds of the power, tracks of equal curvature have the fewest keys for
 /// an error at the hands.
 pub(crate) fn tolerance(rig: &Rig, bone: usize) -> f64 {
-    ROTATION_TOLERANCE.min(REACH_TOLERANCE * rig.reach(bone).max(1e-3).powf(-2.0 / 3.0))
+    tolerance_at(rig.reach(bone))
+}
+
+/// [`tolerance`] of a bone with the farthest joint below it so many metres away.
+pub(crate) fn tolerance_at(reach: f64) -> f64 {
+    ROTATION_TOLERANCE.min(REACH_TOLERANCE * reach.max(1e-3).powf(-2.0 / 3.0))
 }

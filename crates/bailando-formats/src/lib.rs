@@ -39,6 +39,7 @@
 
 mod blob;
 mod bvh;
+mod character;
 mod codes;
 mod continuation;
 mod decimal;
@@ -50,6 +51,7 @@ mod glb;
 mod gltf;
 mod json;
 mod keys;
+mod looped;
 mod mannequin;
 mod motion;
 mod npz;
@@ -64,6 +66,7 @@ mod vrma;
 
 pub use bailando_motion::PositionsSource;
 pub use bvh::{BvhUnit, to_bvh, to_bvh_for};
+pub use character::{BoneNames, Character, FoundBy, RigFormat, RigLimits, RigMapping};
 pub use codes::Codes;
 pub use continuation::Continuation;
 pub use error::FormatError;
@@ -71,6 +74,7 @@ pub use events::{DoneJson, FramesJson, Start, StartJson, done_event, frames_even
 pub use fbx::to_fbx;
 pub use glb::{GlbOptions, to_glb};
 pub use json::{JsonOptions, MotionJson, SkeletonJson, to_json};
+pub use looped::LoopOptions;
 pub use motion::{GeneratedMotion, MusicInfo, Timings};
 pub use npz::to_npz;
 pub use numbers::Encoding;

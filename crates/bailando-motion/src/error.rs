@@ -6,6 +6,9 @@ pub enum MotionError {
     /// The skeleton's tables contradict each other.
     #[error("skeleton: {0}")]
     Skeleton(String),
+    /// A figure is no humanoid that could dance.
+    #[error("the figure cannot dance: {0}")]
+    Figure(String),
     /// An array does not have the expected shape.
     #[error("expected {expected}, got {got}")]
     Shape {

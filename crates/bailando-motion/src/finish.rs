@@ -13,6 +13,7 @@ use crate::{
     forward::forward,
     inverse::{InverseKinematics, Solution},
     legs::{LegFitter, Legs},
+    mirror::Mirror,
     resample::Resampler,
     root::integrate_from,
     seam::{Seam, SeamBlend},
@@ -29,6 +30,8 @@ pub struct FinishOptions {
     pub fps: u32,
     /// Whether the dancer travels; `false` holds x and z of the root at 0 and keeps y.
     pub root_motion: bool,
+    /// Whether left and right are exchanged.
+    pub mirror: bool,
     /// Frames per second of the decoder's output.
     pub decoded_fps: u32,
     /// Where the root starts: x and z in metres.
@@ -44,6 +47,7 @@ impl Default for FinishOptions {
         Self {
             fps: 60,
             root_motion: true,
+            mirror: false,
             decoded_fps: 60,
             start: [0.0; 2],
             clean: true,
@@ -121,6 +125,7 @@ pub fn finish_while(
 pub struct Finisher {
     skeleton: Skeleton,
     options: FinishOptions,
+    mirror: Option<Mirror>,
     root: [f32; 3],
     solver: InverseKinematics,
     solution: Solution,
@@ -178,6 +183,7 @@ impl Finisher {
             from_decoder.then(|| Grounding::new(floor.clone(), Positions::zeros((0, 0, 3))));
         Ok(Self {
             options: *options,
+            mirror: options.mirror.then(|| Mirror::of(skeleton)),
             root: [x, skeleton.root_height, z],
             solution: solver.start(decoded_fps),
             solver,
@@ -228,6 +234,8 @@ impl Finisher {
     /// [`MotionError::Shape`] if the columns are not the skeleton's, [`MotionError::NotFinite`] for
     /// a NaN or an infinity.
     pub fn push(&mut self, decoded: ArrayView2<'_, f32>) -> Result<Finished, MotionError> {
+        let mirrored = self.mirror.as_ref().map(|mirror| mirror.apply(decoded));
+        let decoded = mirrored.as_ref().map_or(decoded, |mirrored| mirrored.view());
         let decoded = integrate_from(decoded, &mut self.root)?;
         let solved = self.solver.continue_from(&mut self.solution, &decoded)?;
         let fitted = self.legs.push(solved, &decoded);

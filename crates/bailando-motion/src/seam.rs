@@ -39,7 +39,7 @@ impl Seam {
 }
 
 /// Returns the rotation vector that takes one rotation to another, the shorter way.
-fn turn(from: Quat, to: Quat) -> Vec3 {
+pub(crate) fn turn(from: Quat, to: Quat) -> Vec3 {
     let difference = to * from.inverse();
     let shorter = if difference.w < 0.0 { -difference } else { difference };
     shorter.normalize().to_scaled_axis()

@@ -25,6 +25,7 @@ pub mod model;
 pub mod motion;
 pub mod ogg;
 pub mod postgres;
+pub mod rigs;
 pub mod sound;
 pub mod wav;
 

@@ -37,6 +37,7 @@ impl Dancer for Local {
         let options = self.options.generation(self.format);
         let request = GenerationRequest::audio(read_file(song)?, options);
         let dance = self.engine.generate(request)?.into_motion(self.engine.manifest());
+        let dance = self.options.looped(dance)?;
         write_file(result, self.format.write(&dance, &self.options.writing())?)
     }
 }

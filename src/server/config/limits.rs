@@ -12,6 +12,7 @@ use super::units::{ByteSize, Seconds};
 use crate::{
     audio::AudioLimits,
     engine::{DEFAULT_BATCH, DecodeEffort},
+    formats::RigLimits,
 };
 
 /// Memory for one second of audio, all stages together; measured (`tests/load/uploads.py`).
@@ -139,6 +140,12 @@ limits! {
     /// Largest wav or flac file (recognised by its first bytes)
     payload_limit_lossless: ByteSize ["payload_limit_lossless_bytes" u64]
         "BAILANDO_PAYLOAD_LIMIT_LOSSLESS" = ByteSize(100_000_000);
+    /// Largest character or skeleton of a caller's own (part rig: bvh, glb, vrm)
+    rig_limit: ByteSize ["rig_limit_bytes" u64]
+        "BAILANDO_RIG_LIMIT" = ByteSize(RigLimits::default().bytes as u64);
+    /// Most bones or nodes of a caller's character
+    rig_bones: usize ["rig_bones" usize]
+        "BAILANDO_RIG_BONES" = RigLimits::default().bones, at_least_one;
     /// Shortest audio in seconds
     min_audio_seconds: f64 ["min_audio_seconds" f64]
         "BAILANDO_MIN_AUDIO_SECONDS" = AudioLimits::default().min_seconds, zero_or_more;
@@ -205,11 +212,11 @@ pub enum LimitsError {
         max: u32,
     },
     /// The largest file would never fit.
-    #[error("--upload-memory {memory} is less than the largest file in a form, {body}")]
+    #[error("--upload-memory {memory} is less than the largest song and rig in a form, {body}")]
     UploadMemory {
         /// Memory for all uploads.
         memory: ByteSize,
-        /// The largest file in a form.
+        /// The largest song and rig in a form.
         body: ByteSize,
     },
     /// The longest song would never be processed.
@@ -258,16 +265,18 @@ impl Limits {
         self.payload_limit.max(self.payload_limit_lossless)
     }
 
-    /// Returns the largest size of a file in a form.
+    /// Returns the largest size of a song and a character in a form.
     pub(crate) fn largest_body(&self) -> ByteSize {
-        ByteSize(self.largest_file().0.saturating_add(FORM_OVERHEAD))
+        let files = self.largest_file().0.saturating_add(self.rig_limit.0);
+        ByteSize(files.saturating_add(FORM_OVERHEAD))
     }
 
     /// Returns the most bytes of one request that is being processed: its upload, and for every
     /// second of audio the signals, features, motion and response.
     #[must_use]
     pub fn memory_per_request(&self) -> u64 {
-        let upload = self.largest_file().0;
+        // A character exists as it was sent and as it is sent back.
+        let upload = self.largest_file().0.saturating_add(self.rig_limit.0.saturating_mul(2));
         upload.saturating_add((self.max_audio_seconds * BYTES_PER_SECOND) as u64)
     }
 

@@ -8,7 +8,7 @@ use std::{
 use bytes::Bytes;
 
 use crate::{
-    formats::{GeneratedMotion, OutputFormat, WriteOptions},
+    formats::{Character, FormatError, GeneratedMotion, OutputFormat, WriteOptions},
     server::{
         blocking,
         error::ServerError,
@@ -36,19 +36,47 @@ impl Written {
     /// # Errors
     /// [`ServerError`] where there is no room; what writing fails with.
     pub(crate) async fn new(
-        (resources, metrics): (&Resources, &SharedMetrics),
+        held: (&Resources, &SharedMetrics),
         client: Client,
         work: Option<Arc<Work>>,
         dance: Arc<GeneratedMotion>,
         options: &RequestOptions,
         Shape { format, encoding, .. }: Shape,
     ) -> Result<Arc<Self>, ServerError> {
-        let most = encoding.most_bytes(format.most_bytes(&dance, &options.writing()));
-        let mut room = resources.reserve_response(client, most).await?;
+        let most = format.most_bytes(&dance, &options.writing());
         let options = options.clone();
+        let write = move || options.write(&dance, format);
+        Self::of(held, client, work, (most, encoding), write).await
+    }
+
+    /// [`Self::new`] on the bones of a character, whose feet are held where they stand if they are
+    /// to be planted.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub(crate) async fn on_rig(
+        held: (&Resources, &SharedMetrics),
+        client: Client,
+        work: Option<Arc<Work>>,
+        dance: Arc<GeneratedMotion>,
+        (character, planted, encoding): (Arc<Character>, bool, Encoding),
+    ) -> Result<Arc<Self>, ServerError> {
+        let most = character.most_bytes(dance.animation.root.len());
+        let write = move || character.dance(&dance, planted);
+        Self::of(held, client, work, (most, encoding), write).await
+    }
+
+    async fn of(
+        (resources, metrics): (&Resources, &SharedMetrics),
+        client: Client,
+        work: Option<Arc<Work>>,
+        (most, encoding): (usize, Encoding),
+        write: impl FnOnce() -> Result<Vec<u8>, FormatError> + Send + 'static,
+    ) -> Result<Arc<Self>, ServerError> {
+        let most = encoding.most_bytes(most);
+        let mut room = resources.reserve_response(client, most).await?;
         let write = move || {
-            let written = options.write(&dance, format)?;
-            let coded = encoding.encode(written);
+            let coded = encoding.encode(write()?);
             let (mut bytes, encoding) =
                 coded.map_err(|error| ServerError::Internal(error.to_string()))?;
             bytes.shrink_to_fit();

@@ -26,12 +26,12 @@ fn about(status: u16) -> &'static str {
         408 => "The body was not sent in time.",
         409 => "The job is not done.",
         410 => "The job expired before it began.",
-        413 => "The audio file is too large.",
+        413 => "The audio file or the rig is too large.",
         416 => "The result has no such bytes.",
         415 => "The body is no audio that is accepted, or compressed.",
         422 => {
-            "The audio cannot be decoded, or is too short or too long, or the Idempotency-Key came \
-             with another request."
+            "The audio cannot be decoded, or is too short or too long, or the rig is unusable, or \
+             the Idempotency-Key came with another request."
         }
         429 => {
             "Too many requests are waiting, too many jobs are kept, too much is being uploaded, \
@@ -82,7 +82,7 @@ fn header(kind: Type, about: &str) -> Header {
 }
 
 /// Headers of a result; those of a stream come first.
-const HEADERS: [(&str, Type, &str); 9] = [
+const HEADERS: [(&str, Type, &str); 10] = [
     ("x-seed", INTEGER, "The seed of the generation."),
     ("x-queue-time", NUMBER, "Milliseconds until a worker is free."),
     ("x-decode-time", NUMBER, "Milliseconds of decoding the audio."),
@@ -92,7 +92,10 @@ const HEADERS: [(&str, Type, &str); 9] = [
     ("x-tail", TEXT, TAIL),
     ("x-total-time", NUMBER, "Milliseconds in all."),
     ("x-inference-time", NUMBER, "Milliseconds in the model."),
+    ("x-rig-mapping", TEXT, MAPPING),
 ];
+const MAPPING: &str = "With a `rig`: JSON that says which of its bones were taken for which parts \
+    of the body, and how they were found; `rig_mapping` takes it. Absent beyond 4 kB.";
 const WARNINGS: &str = "What the caller should know about the result, for example that the file \
     ended early. One header for each warning, up to 8, in plain ASCII of up to 200 characters; \
     absent without warnings. The JSON carries the same texts in full as `warnings`.";

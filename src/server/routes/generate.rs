@@ -21,6 +21,7 @@ use crate::{
             documented::{GenerationErrors, MotionResponse},
             encoding, paced, warnings,
         },
+        rig::RigAnswer,
         state::SharedState,
         upload::body::IncomingBody,
         work,
@@ -30,7 +31,8 @@ use crate::{
 /// Generates a dance to a song.
 ///
 /// Send the song as part `file` of a form (the other parts are the options), or as the body itself
-/// with the options in the query.
+/// with the options in the query. A part `rig` with a character of your own (.bvh, .glb, .vrm)
+/// brings the dance back as the same file, on its own bones.
 #[utoipa::path(
     post,
     path = "/generate",
@@ -63,9 +65,18 @@ async fn render(
         let (client, options) = (order.client, &order.options);
         let writing = (Some(Arc::clone(&work)), Arc::clone(&dance));
         // Slow readers hold memory: the permit is free only once there is some.
-        let written = Written::new(held, client, writing.0, writing.1, options, shape).await?;
+        let written = match &order.rig {
+            None => Written::new(held, client, writing.0, writing.1, options, shape).await?,
+            Some(rig) => {
+                let planted = options.plants_feet();
+                let rig = (Arc::clone(&rig.character), planted, shape.encoding);
+                Written::on_rig(held, client, writing.0, writing.1, rig).await?
+            }
+        };
         work.end().into_iter().for_each(Permit::complete);
-        Ok(Rendered::new(Described::new(&dance, shape.format), written))
+        let rig = order.rig.as_ref().map(|rig| RigAnswer::of(&rig.character));
+        let described = Described { rig, ..Described::new(&dance, shape.format) };
+        Ok(Rendered::new(described, written))
     }
     .await;
     order.waiting.answered();
@@ -75,6 +86,8 @@ async fn render(
 /// What the headers say of a dance.
 pub(crate) struct Described {
     pub(crate) format: OutputFormat,
+    /// Of a dance on a character of the caller's own.
+    pub(crate) rig: Option<RigAnswer>,
     pub(crate) seed: u64,
     pub(crate) tail: Option<String>,
     pub(crate) timings: Timings,
@@ -85,6 +98,7 @@ impl Described {
     fn new(dance: &GeneratedMotion, format: OutputFormat) -> Self {
         Self {
             format,
+            rig: None,
             seed: dance.seed,
             tail: dance.continuation.as_ref().map(crate::formats::Continuation::to_text),
             timings: dance.timings,
@@ -102,11 +116,15 @@ impl Described {
         times(&mut headers, &self.timings);
         warnings::append(&mut headers, &self.warnings);
         if self.format != OutputFormat::Json {
-            let (seed, extension) = (self.seed, self.format.name());
+            let extension = self.rig.as_ref().map_or(self.format.name(), RigAnswer::extension);
+            let seed = self.seed;
             let name = format!("attachment; filename=\"dance-{seed}.{extension}\"");
             if let Ok(name) = HeaderValue::try_from(name) {
                 headers.insert(header::CONTENT_DISPOSITION, name);
             }
+        }
+        if let Some(rig) = &self.rig {
+            rig.add_to(&mut headers);
         }
         headers
     }

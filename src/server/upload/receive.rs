@@ -14,17 +14,23 @@ use super::{
     media::Media,
 };
 use crate::audio::is_lossless;
+use crate::formats::FormatError;
 use crate::server::{
     config::{ByteSize, FORM_OVERHEAD, Limits},
     error::ServerError,
     jobs::options::JobOptions,
     options::{LONGEST_VALUE, RequestOptions, shorten},
     resources::UploadReservation,
+    rig::RigParts,
 };
+
+/// Longest mapping of bones in bytes.
+const LONGEST_MAPPING: usize = 16 * 1024;
 
 /// A request that has arrived completely.
 pub(crate) struct Upload {
     pub(crate) audio: Bytes,
+    pub(crate) rig: RigParts,
     pub(crate) options: RequestOptions,
     /// What it has beside its dance, where it is a job.
     pub(crate) job: Option<JobOptions>,
@@ -70,7 +76,8 @@ pub(crate) async fn receive(
         Media::Raw => {
             let mut audio = AudioBuffer::new(limits, body.declared());
             collect(&mut audio, body, |error| body_error(&error, limits)).await?;
-            Upload { audio: audio.finish()?, options: asked.options, job: asked.job }
+            let (rig, job) = (RigParts::default(), asked.job);
+            Upload { audio: audio.finish()?, rig, options: asked.options, job }
         }
         Media::Form => receive_form(parts, body, asked, limits).await?,
     };
@@ -115,6 +122,7 @@ async fn receive_form(
         .await
         .map_err(|rejection| ServerError::Multipart(rejection.body_text()))?;
     let mut audio: Option<Bytes> = None;
+    let mut rig = RigParts::default();
     while let Some(field) = form.next_field().await.map_err(|error| form_error(&error, limits))? {
         kept.delivered(0);
         let name = field.name().unwrap_or_default().to_owned();
@@ -128,15 +136,47 @@ async fn receive_form(
             let field = field.inspect_ok(|chunk| kept.delivered(chunk.len()));
             collect(&mut buffer, field, |error| form_error(&error, limits)).await?;
             audio = Some(buffer.finish()?);
+        } else if name == "rig" {
+            if rig.file.is_some() {
+                return Err(ServerError::Multipart(
+                    "part `rig` was sent more than once: send one character".to_owned(),
+                ));
+            }
+            rig.file = Some(read_rig(field, &kept, limits).await?);
+        } else if name == "rig_mapping" {
+            let value = read_value(field, &kept, limits, LONGEST_MAPPING).await?;
+            if value.len() > LONGEST_MAPPING || rig.mapping.is_some() {
+                let problem = format!("expected one of at most {LONGEST_MAPPING} bytes");
+                return Err(ServerError::Option { name, problem });
+            }
+            rig.mapping = Some(value);
         } else {
-            let value = read_value(field, &kept, limits).await?;
+            let value = read_value(field, &kept, limits, LONGEST_VALUE).await?;
             let taken = job.as_mut().map_or(Ok(false), |job| job.take(&name, &value))?;
             if !taken {
                 options.set(&name, &value)?;
             }
         }
     }
-    Ok(Upload { audio: audio.ok_or(ServerError::MissingAudio)?, options, job })
+    Ok(Upload { audio: audio.ok_or(ServerError::MissingAudio)?, rig, options, job })
+}
+
+/// Reads the caller's character.
+async fn read_rig(
+    mut field: Field<'_>,
+    kept: &Kept,
+    limits: &Limits,
+) -> Result<Bytes, ServerError> {
+    let most = limits.rig_limit.0 as usize;
+    let mut bytes = BytesMut::new();
+    while let Some(chunk) = field.chunk().await.map_err(|error| form_error(&error, limits))? {
+        kept.delivered(chunk.len());
+        if bytes.len() + chunk.len() > most {
+            return Err(FormatError::RigTooLarge { limit: most }.into());
+        }
+        bytes.extend_from_slice(&chunk);
+    }
+    Ok(bytes.freeze())
 }
 
 /// Reads the value of an option. A value that is too long for any option is cut, and refused by its
@@ -145,13 +185,14 @@ async fn read_value(
     mut field: Field<'_>,
     kept: &Kept,
     limits: &Limits,
+    longest: usize,
 ) -> Result<String, ServerError> {
     let mut value = Vec::new();
-    while value.len() <= LONGEST_VALUE
+    while value.len() <= longest
         && let Some(chunk) = field.chunk().await.map_err(|error| form_error(&error, limits))?
     {
         kept.delivered(chunk.len());
-        let room = (LONGEST_VALUE + 1).saturating_sub(value.len());
+        let room = (longest + 1).saturating_sub(value.len());
         value.extend(chunk.iter().take(room));
     }
     Ok(String::from_utf8_lossy(&value).into_owned())

@@ -155,6 +155,7 @@ async fn dance(
         client,
         audio,
         options: options.clone(),
+        rig: None,
         shape: Shape { format, encoding: Encoding::Identity, lines: false },
         upload: None,
         job: Default::default(),

@@ -12,6 +12,7 @@ mod bvh_readers;
 mod fbx;
 mod glb;
 mod research;
+mod rigs;
 mod stored;
 mod vmd;
 

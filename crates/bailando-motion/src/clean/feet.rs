@@ -21,7 +21,7 @@ const LOWERING: f64 = 0.15;
 
 /// Plants the feet of one motion.
 #[derive(Clone, Debug)]
-pub(super) struct FeetPlanter {
+pub(crate) struct FeetPlanter {
     pose: WorldPose,
     legs: Vec<Leg>,
     half_width: usize,
@@ -56,7 +56,7 @@ struct Target {
 }
 
 impl FeetPlanter {
-    pub(super) fn new(skeleton: &Skeleton, fps: u32, continues: bool) -> Self {
+    pub(crate) fn new(skeleton: &Skeleton, fps: u32, continues: bool) -> Self {
         let leg = |ball| {
             Some(Leg {
                 limb: Limb::above(skeleton, ball, DVec3::NEG_Z)?,
@@ -80,7 +80,7 @@ impl FeetPlanter {
     }
 
     /// Takes the next frames; returns those that are settled.
-    pub(super) fn push(&mut self, animation: Animation) -> Animation {
+    pub(crate) fn push(&mut self, animation: Animation) -> Animation {
         for (root, rotations) in animation.root.iter().zip(&animation.rotations) {
             self.pose.set(*root, rotations);
             for leg in &mut self.legs {
@@ -96,7 +96,7 @@ impl FeetPlanter {
     }
 
     /// Returns the rest.
-    pub(super) fn end(&mut self) -> Animation {
+    pub(crate) fn end(&mut self) -> Animation {
         for leg in &mut self.legs {
             leg.heel.end();
             leg.ball.end();

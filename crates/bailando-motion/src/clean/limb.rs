@@ -12,9 +12,9 @@ use crate::{
 /// A chain of three joints and the bone that hangs on it: shoulder, elbow, wrist and hand, or hip,
 /// knee, ankle and foot.
 #[derive(Clone, Debug)]
-pub(super) struct Limb {
-    pub(super) joints: [usize; 4],
-    pub(super) bones: TwoBones,
+pub(crate) struct Limb {
+    pub(crate) joints: [usize; 4],
+    pub(crate) bones: TwoBones,
     /// Unit vectors along the upper, the lower and the last bone in the rest pose.
     rest: [DVec3; 3],
     /// Axis about which the lower bone flexes, at right angles to the upper bone in the rest pose.
@@ -24,7 +24,7 @@ pub(super) struct Limb {
 impl Limb {
     /// Finds the limb above its last joint, which flexes towards `flexed` from the rest pose; none
     /// where there are no three bones.
-    pub(super) fn above(skeleton: &Skeleton, last: usize, flexed: DVec3) -> Option<Self> {
+    pub(crate) fn above(skeleton: &Skeleton, last: usize, flexed: DVec3) -> Option<Self> {
         let end = skeleton.parent(last)?;
         let middle = skeleton.parent(end)?;
         let upper = skeleton.parent(middle)?;
@@ -39,24 +39,24 @@ impl Limb {
     }
 
     /// Returns the axis of the hinge for a world rotation of the upper bone.
-    pub(super) fn axis(&self, upper: DQuat) -> DVec3 {
+    pub(crate) fn axis(&self, upper: DQuat) -> DVec3 {
         upper * self.hinge
     }
 
     /// Returns the direction of a bone (0 to 2) for a world rotation of it.
-    pub(super) fn direction(&self, bone: usize, turn: DQuat) -> DVec3 {
+    pub(crate) fn direction(&self, bone: usize, turn: DQuat) -> DVec3 {
         turn * self.rest[bone]
     }
 
     /// Returns the smallest rotation from `turn` of a bone (0 to 2) that points it to `direction`.
-    pub(super) fn pointed(&self, bone: usize, turn: DQuat, direction: DVec3) -> DQuat {
+    pub(crate) fn pointed(&self, bone: usize, turn: DQuat, direction: DVec3) -> DQuat {
         (DQuat::from_rotation_arc(turn * self.rest[bone], direction) * turn).normalize()
     }
 
     /// Returns the world rotations of the two bones that put the end of the limb at `line` metres
     /// from its upper joint, flexed about `axis`. A line longer or shorter than the bones allow is
     /// met in direction alone.
-    pub(super) fn reach(&self, line: DVec3, axis: DVec3) -> [DQuat; 2] {
+    pub(crate) fn reach(&self, line: DVec3, axis: DVec3) -> [DQuat; 2] {
         let along = line.normalize_or(DVec3::NEG_Y);
         let axis = perpendicular(axis, along)
             .try_normalize()
@@ -72,7 +72,7 @@ impl Limb {
     }
 
     /// Writes the world rotations of the limb's three joints as local ones.
-    pub(super) fn write(&self, pose: &WorldPose, turns: [DQuat; 3], rotations: &mut [Quat]) {
+    pub(crate) fn write(&self, pose: &WorldPose, turns: [DQuat; 3], rotations: &mut [Quat]) {
         let mut above = pose.turn_above(self.joints[0]);
         for (&joint, turn) in self.joints.iter().zip(turns) {
             rotations[joint] = (above.inverse() * turn).as_quat().normalize();
@@ -81,7 +81,7 @@ impl Limb {
     }
 
     /// Returns the distance from upper joint to end at which the hinge is bent by `angle` radians.
-    pub(super) fn distance_at(&self, angle: f64) -> f64 {
+    pub(crate) fn distance_at(&self, angle: f64) -> f64 {
         let TwoBones { thigh, shank } = self.bones;
         (thigh * thigh + shank * shank + 2.0 * thigh * shank * angle.cos()).max(0.0).sqrt()
     }

@@ -5,14 +5,14 @@
 
 mod capsule;
 mod contact;
-mod feet;
+pub(crate) mod feet;
 mod foot;
 mod head;
 mod hinge;
 mod jitter;
-mod limb;
+pub(crate) mod limb;
 mod limbs;
-mod pose;
+pub(crate) mod pose;
 
 use crate::{
     animation::{Animation, FrameQueue},

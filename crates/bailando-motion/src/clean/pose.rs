@@ -6,7 +6,7 @@ use crate::skeleton::Skeleton;
 
 /// World positions and rotations of all joints in one frame; planned once, then filled in place.
 #[derive(Clone, Debug)]
-pub(super) struct WorldPose {
+pub(crate) struct WorldPose {
     parents: Vec<Option<usize>>,
     offsets: Vec<DVec3>,
     places: Vec<DVec3>,
@@ -14,7 +14,7 @@ pub(super) struct WorldPose {
 }
 
 impl WorldPose {
-    pub(super) fn new(skeleton: &Skeleton) -> Self {
+    pub(crate) fn new(skeleton: &Skeleton) -> Self {
         let joints = 0..skeleton.joints.len();
         Self {
             parents: joints.clone().map(|joint| skeleton.parent(joint)).collect(),
@@ -24,8 +24,13 @@ impl WorldPose {
         }
     }
 
+    /// Number of joints.
+    pub(crate) fn joints(&self) -> usize {
+        self.parents.len()
+    }
+
     /// Poses the skeleton.
-    pub(super) fn set(&mut self, root: Vec3, rotations: &[Quat]) {
+    pub(crate) fn set(&mut self, root: Vec3, rotations: &[Quat]) {
         for (joint, rotation) in rotations.iter().enumerate() {
             let local = rotation.as_dquat();
             (self.places[joint], self.turns[joint]) = match self.parents[joint] {
@@ -40,17 +45,17 @@ impl WorldPose {
     }
 
     /// World position of a joint, metres.
-    pub(super) fn place(&self, joint: usize) -> DVec3 {
+    pub(crate) fn place(&self, joint: usize) -> DVec3 {
         self.places[joint]
     }
 
     /// World rotation of a joint.
-    pub(super) fn turn(&self, joint: usize) -> DQuat {
+    pub(crate) fn turn(&self, joint: usize) -> DQuat {
         self.turns[joint]
     }
 
     /// World rotation of a joint's parent; none for the root.
-    pub(super) fn turn_above(&self, joint: usize) -> DQuat {
+    pub(crate) fn turn_above(&self, joint: usize) -> DQuat {
         self.parents[joint].map_or(DQuat::IDENTITY, |parent| self.turns[parent])
     }
 }

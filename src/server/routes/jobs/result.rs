@@ -195,6 +195,8 @@ impl Wanted {
 
     fn describe(&self) -> Described {
         Described {
+            // A rig goes with requests that are answered at once.
+            rig: None,
             format: self.shape.format,
             seed: self.stored.seed,
             tail: self.stored.tail.clone(),

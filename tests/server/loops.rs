@@ -1,0 +1,76 @@
+//! Whole bars, loops and mirrors of the tiny model.
+
+use axum::{Router, http::StatusCode};
+use bailando_testkit::song;
+use serde_json::Value;
+
+use crate::server::{
+    client::{post, raw, send},
+    real::service,
+};
+
+/// Poses of the answer to a request for JSON, and its music.
+async fn loops(service: &Router, query: &str) -> (Vec<Vec<[f64; 3]>>, Value) {
+    let answer = send(service, raw(&format!("seed=3&{query}"), song("demo.ogg"))).await;
+    assert_eq!(answer.status, StatusCode::OK, "{}", answer.json());
+    let dance = answer.json();
+    (serde_json::from_value(dance["positions"].clone()).unwrap(), dance)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn bars_are_exact_and_a_loop_has_no_seam() {
+    let service = service();
+    let (_, whole) = loops(&service, "duration_s=14").await;
+    let downbeats: Vec<f64> =
+        serde_json::from_value(whole["music"]["downbeats_s"].clone()).unwrap();
+    let frames: Vec<f64> = downbeats
+        .windows(3)
+        .map(|bars| (bars[2] * 60.0).round() - (bars[0] * 60.0).round())
+        .collect();
+    for query in ["duration_s=14&bars=2", "duration_s=14&bars=2&loop=false"] {
+        let (poses, dance) = loops(&service, query).await;
+        assert!(frames.contains(&(poses.len() as f64)), "{} of {frames:?}", poses.len());
+        assert_eq!(dance["frames"], poses.len());
+        assert_eq!(dance["music"]["downbeats_s"].as_array().unwrap().len(), 2, "{query}");
+        assert!(dance.get("tail").is_none_or(Value::is_null));
+        assert!(dance["warnings"].to_string().contains("the clip is from"));
+        let count = poses.len();
+        let bend = |at: usize| {
+            let [a, b, c] = [at, at + 1, at + 2].map(|frame| &poses[frame % count]);
+            let joints = a.iter().zip(b).zip(c).map(|((a, b), c)| {
+                let axes = (0..3).map(|axis| (a[axis] - 2.0 * b[axis] + c[axis]).powi(2));
+                axes.sum::<f64>().sqrt()
+            });
+            joints.fold(0.0, f64::max)
+        };
+        let inside = (0..count - 2).map(bend).fold(0.0, f64::max);
+        let seam = bend(count - 2).max(bend(count - 1));
+        match query.ends_with("loop=false") {
+            true => assert!(seam > 3.0 * inside, "{seam} m a frame, inside {inside}"),
+            false => assert!(seam < 2.0 * inside, "{seam} m a frame, inside {inside}"),
+        }
+    }
+    let many = raw("duration_s=6&bars=60", song("demo.ogg"));
+    let error = send(&service, many).await.expect_error(400, "invalid_option");
+    assert!(error.starts_with("60 bars are wanted"), "{error}");
+    let stream = post("/generate/stream", "bars=2", song("demo.ogg"));
+    let error = send(&service, stream).await.expect_error(400, "invalid_option");
+    assert!(error.contains("option `loop`"), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_mirror_exchanges_left_and_right() {
+    let service = service();
+    let (plain, dance) = loops(&service, "duration_s=3").await;
+    let (mirrored, _) = loops(&service, "duration_s=3&mirror=true").await;
+    let joints: Vec<String> = serde_json::from_value(dance["skeleton"]["joints"].clone()).unwrap();
+    let joint = |name: &str| joints.iter().position(|joint| joint == name).unwrap();
+    for (left, right) in [("l_wrist", "r_wrist"), ("l_foot", "r_foot"), ("head", "head")] {
+        for (frame, (plain, mirrored)) in plain.iter().zip(&mirrored).enumerate() {
+            let (a, b) = (plain[joint(left)], mirrored[joint(right)]);
+            let apart = [a[0] + b[0], a[1] - b[1], a[2] - b[2]].map(f64::abs);
+            // The skeleton's own sides differ by some centimetres.
+            assert!(apart.iter().all(|apart| *apart < 0.12), "{left}, {frame}: {apart:?}");
+        }
+    }
+}
