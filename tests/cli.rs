@@ -225,6 +225,28 @@ fn a_song_becomes_a_file_of_every_format() {
 }
 
 #[test]
+fn the_codes_of_a_dance_are_danced_without_its_song() {
+    let folder = folder();
+    let [first, again, pairs, bvh] =
+        ["a.json", "b.json", "c.json", "d.bvh"].map(|name| path(&folder, name));
+    succeed(&format!("generate {SONG} -o {first} --seed 7 --duration-s 4"));
+    succeed(&format!("generate --codes {first} -o {again} --seed 7 --duration-s 4"));
+    let (danced, again) = (json(&first), json(&again));
+    for key in ["frames", "seed", "codes", "positions"] {
+        assert!(danced[key] == again[key], "{key}");
+    }
+    fs::write(&pairs, "[[1, 2], [1, 2], [3, 4]]").expect("written");
+    succeed(&format!("generate --codes {pairs} -o {bvh}"));
+    assert!(fs::read_to_string(&bvh).expect("a file").contains("Frames: 24\n"));
+    fs::write(&pairs, "[1, 2]").expect("written");
+    let (code, said) = fail(&format!("generate --codes {pairs} -o {bvh}"));
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("c.json: expected JSON of pose codes"), "{said}");
+    let (code, said) = fail(&format!("generate --codes {first} -o {bvh} --top-k 3"));
+    assert!(code == Some(2) && said.contains("option `top_k`"), "{said}");
+}
+
+#[test]
 fn several_songs_go_to_a_folder_and_a_bad_one_does_not_stop_the_rest() {
     let folder = folder();
     let out = path(&folder, "dances");
@@ -397,6 +419,9 @@ fn a_codebook_is_drawn_with_the_uses_of_its_codes() {
     let json = json(&format!("{out}/codebook.json"));
     assert_eq!(json["upper"]["codes"][7]["uses"], 2);
     assert_eq!(json["lower"]["codes"][12]["uses"], 1);
+    let memory = self::json(&format!("{out}/memory.json"));
+    assert_eq!(memory["upper"][7]["next"], serde_json::json!([[9, 1]]));
+    assert_eq!(memory["motions"], 1);
     assert_eq!(json["transitions"][0]["from"], serde_json::json!([7, 3]));
     for name in ["upper.svg", "lower.svg", "pairs.svg"] {
         let svg = read(name);

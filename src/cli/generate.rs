@@ -20,8 +20,9 @@ use bailando::{
 use ndarray::Array2;
 
 use super::{
+    codes::read_codes,
     console::{STANDARD, Talk, Usage, detail, note, positive_seconds, read_file, say, say_error},
-    inputs::audio_files,
+    inputs::{Input, audio_files},
     output::{FileFormat, OutputArgs, check_folder_of, write_positions},
     progress::Bar,
 };
@@ -31,13 +32,17 @@ use super::{
 #[command(allow_negative_numbers = true)]
 pub(super) struct GenerateArgs {
     /// Songs (wav, aiff, flac, mp3, ogg, webm, m4a), folders of them, or `-` for standard input
-    #[arg(required_unless_present = "features", conflicts_with = "features")]
+    #[arg(required_unless_present_any = ["features", "codes"], conflicts_with = "features")]
     audio: Vec<PathBuf>,
     /// Look for songs in sub-folders too; --out-dir gets the same sub-folders
     #[arg(long, conflicts_with = "features")]
     recursive: bool,
     #[command(flatten)]
     output: OutputArgs,
+    /// Dance these pose codes instead of choosing them by the song, which may then be left out: a
+    /// dance's JSON, its `codes`, pairs [[upper, lower], ..], or int64 [2, codes] as npy
+    #[arg(long, value_name = "F.{json,npy}", conflicts_with = "features")]
+    codes: Option<PathBuf>,
     #[command(flatten)]
     options: RequestOptions,
     /// Model directory
@@ -90,6 +95,15 @@ pub(super) fn run(args: &GenerateArgs) -> anyhow::Result<()> {
 }
 
 impl GenerateArgs {
+    /// The options, with the codes of their file.
+    fn options(&self) -> anyhow::Result<RequestOptions> {
+        let options = self.options.clone();
+        match &self.codes {
+            Some(path) => Ok(options.with_codes(read_codes(path)?)),
+            None => Ok(options),
+        }
+    }
+
     fn open(&self) -> anyhow::Result<Engine> {
         let defaults = EngineConfig::new(&self.model_dir);
         Ok(Engine::open(&EngineConfig {
@@ -104,16 +118,20 @@ impl GenerateArgs {
 
 /// Tries every song; fails at the end when one did not work.
 fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
-    let inputs = audio_files(&args.audio, args.recursive)?;
+    let inputs = match &args.codes {
+        Some(codes) if args.audio.is_empty() => vec![Input::of(codes)],
+        _ => audio_files(&args.audio, args.recursive)?,
+    };
     let targets = args.output.targets(&inputs)?;
+    let options = args.options()?;
     let engine = args.open()?;
-    engine.check(&args.options.generation(OutputFormat::Bvh))?;
+    engine.check(&options.generation(OutputFormat::Bvh))?;
     let mut failures = 0;
     let songs = inputs.len();
     for (input, target) in inputs.iter().zip(targets) {
         let danced = target.map_err(anyhow::Error::from);
-        let danced = danced
-            .and_then(|(target, format)| one_song(args, &engine, &input.path, &target, format));
+        let danced =
+            danced.and_then(|result| one_song(args, &options, &engine, &input.path, result));
         if let Err(error) = danced {
             let error = error.context(input.path.display().to_string());
             failures += 1;
@@ -129,21 +147,24 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
 
 fn one_song(
     args: &GenerateArgs,
+    options: &RequestOptions,
     engine: &Engine,
     input: &Path,
-    target: &Path,
-    format: FileFormat,
+    (target, format): (PathBuf, FileFormat),
 ) -> anyhow::Result<()> {
     let started = Instant::now();
-    let audio = read_file(input)?;
-    let options = args.options.generation(format.motion());
+    let target = target.as_path();
+    let generation = options.generation(format.motion());
+    let request = match args.audio.is_empty() {
+        true => GenerationRequest::codes(generation),
+        false => GenerationRequest::audio(read_file(input)?, generation),
+    };
     let bar = Arc::new(Bar::new(&input.display().to_string()));
-    let request = GenerationRequest::audio(audio, options).with_progress(Arc::clone(&bar) as _);
-    let output = engine.generate(request)?;
+    let output = engine.generate(request.with_progress(Arc::clone(&bar) as _))?;
     let timings = output.timings;
     let dance = output.into_motion(engine.manifest());
     drop(bar);
-    args.output.write(&dance, target, format, &args.options)?;
+    args.output.write(&dance, target, format, options)?;
     detail(&format!("milliseconds: {}", serde_json::to_string(&timings)?));
     report(&dance, target, started);
     Ok(())

@@ -3,6 +3,7 @@
 mod batch;
 mod bench;
 mod codebook;
+mod codes;
 mod console;
 mod evaluate;
 mod features;

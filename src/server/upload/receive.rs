@@ -18,12 +18,13 @@ use crate::server::{
     config::{ByteSize, FORM_OVERHEAD, Limits},
     error::ServerError,
     jobs::options::JobOptions,
-    options::{LONGEST_VALUE, RequestOptions, shorten},
+    options::{RequestOptions, longest_value, shorten},
     resources::UploadReservation,
 };
 
 /// A request that has arrived completely.
 pub(crate) struct Upload {
+    /// Empty where the options carry the codes to dance.
     pub(crate) audio: Bytes,
     pub(crate) options: RequestOptions,
     /// What it has beside its dance, where it is a job.
@@ -75,13 +76,10 @@ pub(crate) async fn receive(
         Media::Form => receive_form(parts, body, asked, limits).await?,
     };
     reservation.received();
-    if upload.audio.is_empty() {
-        return Err(match media {
-            Media::Raw => ServerError::MissingAudio,
-            Media::Form => ServerError::EmptyAudio,
-        });
+    match upload.audio.is_empty() && upload.options.given_codes().is_none() {
+        true => Err(ServerError::MissingAudio),
+        false => Ok(upload),
     }
-    Ok(upload)
 }
 
 fn most_bytes(media: Media, limits: &Limits) -> u64 {
@@ -129,29 +127,33 @@ async fn receive_form(
             collect(&mut buffer, field, |error| form_error(&error, limits)).await?;
             audio = Some(buffer.finish()?);
         } else {
-            let value = read_value(field, &kept, limits).await?;
+            let value = read_value(field, &kept, longest_value(&name), limits).await?;
             let taken = job.as_mut().map_or(Ok(false), |job| job.take(&name, &value))?;
             if !taken {
                 options.set(&name, &value)?;
             }
         }
     }
-    Ok(Upload { audio: audio.ok_or(ServerError::MissingAudio)?, options, job })
+    match audio {
+        Some(audio) if audio.is_empty() => Err(ServerError::EmptyAudio),
+        audio => Ok(Upload { audio: audio.unwrap_or_default(), options, job }),
+    }
 }
 
-/// Reads the value of an option. A value that is too long for any option is cut, and refused by its
+/// Reads the value of an option. A value that is longer than `longest` is cut, and refused by its
 /// parser.
 async fn read_value(
     mut field: Field<'_>,
     kept: &Kept,
+    longest: usize,
     limits: &Limits,
 ) -> Result<String, ServerError> {
     let mut value = Vec::new();
-    while value.len() <= LONGEST_VALUE
+    while value.len() <= longest
         && let Some(chunk) = field.chunk().await.map_err(|error| form_error(&error, limits))?
     {
         kept.delivered(chunk.len());
-        let room = (LONGEST_VALUE + 1).saturating_sub(value.len());
+        let room = (longest + 1).saturating_sub(value.len());
         value.extend(chunk.iter().take(room));
     }
     Ok(String::from_utf8_lossy(&value).into_owned())
