@@ -78,9 +78,17 @@ fn npy<T: ndarray_npy::ReadNpyExt>(path: &str) -> T {
 fn help_is_the_reference() {
     let help = |arguments: &[&str]| succeeds(bailando(&project(""), arguments)).0;
     insta::assert_snapshot!("help", help(&["--help"]));
-    let commands =
-        ["serve", "generate", "batch", "features", "evaluate", "codebook", "bench", "healthcheck"];
-    for command in commands {
+    for command in [
+        "serve",
+        "generate",
+        "batch",
+        "features",
+        "evaluate",
+        "render",
+        "codebook",
+        "bench",
+        "healthcheck",
+    ] {
         insta::assert_snapshot!(format!("help_{command}"), help(&[command, "--help"]));
     }
 }
@@ -402,6 +410,32 @@ fn the_documented_way_over_feature_rows_works_as_written() {
     let counts = !model.features.count_periods.is_empty();
     assert_eq!(errors.contains("--model-dir models/default"), counts, "{errors}");
     assert_eq!(npy::<Array2<i64>>(&path(&folder, "codes.npy")).dim(), (2, rows));
+}
+
+#[test]
+fn what_a_film_lacks_is_said_in_one_line() {
+    let folder = folder();
+    let [dance, bare, film] = ["a.json", "b.json", "c.mp4"].map(|name| path(&folder, name));
+    let picture = path(&folder, "c.png");
+    succeed(&format!("generate {SONG} -o {dance} --duration-s 1 --include-rotations"));
+    succeed(&format!("generate {SONG} -o {bare} --duration-s 1"));
+    for (arguments, wanted) in [
+        (&*format!("{bare} -o {film}"), "make it with `--include-rotations`"),
+        (&format!("{WAV} -o {film}"), "this is no dance as JSON"),
+        (&format!("{dance} -o {bare}"), "mp4, gif or png"),
+        (&format!("{dance} -o {picture} --audio {SONG}"), "only mp4 has sound"),
+        (&format!("{dance} -o {picture} --start-s 2"), "the dance ends at 1.0 s"),
+        (&format!("{dance} -o {picture} --size 9x9"), "even numbers from 64 to 3840"),
+        (&format!("{dance} -o {film} --chromium ./no-browser"), "no-browser: it cannot be started"),
+        // A browser that answers; ffmpeg is looked for before it is opened.
+        (&format!("{dance} -o {film} --chromium true --ffmpeg ./none"), "films need ffmpeg"),
+    ] {
+        let (code, said) = fail(&format!("render {arguments}"));
+        assert!(matches!(code, Some(1 | 2)) && said.contains(wanted), "{arguments}: {said}");
+    }
+    // A browser that ends without a picture says so, at once.
+    let (code, said) = fail(&format!("render {dance} -o {picture} --chromium true"));
+    assert!(code == Some(1) && said.contains("true: the browser ended with exit"), "{said}");
 }
 
 #[test]
