@@ -78,9 +78,17 @@ fn npy<T: ndarray_npy::ReadNpyExt>(path: &str) -> T {
 fn help_is_the_reference() {
     let help = |arguments: &[&str]| succeeds(bailando(&project(""), arguments)).0;
     insta::assert_snapshot!("help", help(&["--help"]));
-    let commands =
-        ["serve", "generate", "batch", "features", "evaluate", "codebook", "bench", "healthcheck"];
-    for command in commands {
+    for command in [
+        "serve",
+        "generate",
+        "batch",
+        "features",
+        "evaluate",
+        "render",
+        "codebook",
+        "bench",
+        "healthcheck",
+    ] {
         insta::assert_snapshot!(format!("help_{command}"), help(&[command, "--help"]));
     }
 }
@@ -222,6 +230,28 @@ fn a_song_becomes_a_file_of_every_format() {
     let hand = json["positions"][frames - 1][23][1].as_f64();
     let expected = f64::from(positions[[frames - 1, 23, 1]]);
     assert!((hand.expect("a number") - expected).abs() < 1e-5);
+}
+
+#[test]
+fn the_codes_of_a_dance_are_danced_without_its_song() {
+    let folder = folder();
+    let [first, again, pairs, bvh] =
+        ["a.json", "b.json", "c.json", "d.bvh"].map(|name| path(&folder, name));
+    succeed(&format!("generate {SONG} -o {first} --seed 7 --duration-s 4"));
+    succeed(&format!("generate --codes {first} -o {again} --seed 7 --duration-s 4"));
+    let (danced, again) = (json(&first), json(&again));
+    for key in ["frames", "seed", "codes", "positions"] {
+        assert!(danced[key] == again[key], "{key}");
+    }
+    fs::write(&pairs, "[[1, 2], [1, 2], [3, 4]]").expect("written");
+    succeed(&format!("generate --codes {pairs} -o {bvh}"));
+    assert!(fs::read_to_string(&bvh).expect("a file").contains("Frames: 24\n"));
+    fs::write(&pairs, "[1, 2]").expect("written");
+    let (code, said) = fail(&format!("generate --codes {pairs} -o {bvh}"));
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("c.json: expected JSON of pose codes"), "{said}");
+    let (code, said) = fail(&format!("generate --codes {first} -o {bvh} --top-k 3"));
+    assert!(code == Some(2) && said.contains("option `top_k`"), "{said}");
 }
 
 #[test]
@@ -383,6 +413,32 @@ fn the_documented_way_over_feature_rows_works_as_written() {
 }
 
 #[test]
+fn what_a_film_lacks_is_said_in_one_line() {
+    let folder = folder();
+    let [dance, bare, film] = ["a.json", "b.json", "c.mp4"].map(|name| path(&folder, name));
+    let picture = path(&folder, "c.png");
+    succeed(&format!("generate {SONG} -o {dance} --duration-s 1 --include-rotations"));
+    succeed(&format!("generate {SONG} -o {bare} --duration-s 1"));
+    for (arguments, wanted) in [
+        (&*format!("{bare} -o {film}"), "make it with `--include-rotations`"),
+        (&format!("{WAV} -o {film}"), "this is no dance as JSON"),
+        (&format!("{dance} -o {bare}"), "mp4, gif or png"),
+        (&format!("{dance} -o {picture} --audio {SONG}"), "only mp4 has sound"),
+        (&format!("{dance} -o {picture} --start-s 2"), "the dance ends at 1.0 s"),
+        (&format!("{dance} -o {picture} --size 9x9"), "even numbers from 64 to 3840"),
+        (&format!("{dance} -o {film} --chromium ./no-browser"), "no-browser: it cannot be started"),
+        // A browser that answers; ffmpeg is looked for before it is opened.
+        (&format!("{dance} -o {film} --chromium true --ffmpeg ./none"), "films need ffmpeg"),
+    ] {
+        let (code, said) = fail(&format!("render {arguments}"));
+        assert!(matches!(code, Some(1 | 2)) && said.contains(wanted), "{arguments}: {said}");
+    }
+    // A browser that ends without a picture says so, at once.
+    let (code, said) = fail(&format!("render {dance} -o {picture} --chromium true"));
+    assert!(code == Some(1) && said.contains("true: the browser ended with exit"), "{said}");
+}
+
+#[test]
 fn a_codebook_is_drawn_with_the_uses_of_its_codes() {
     let folder = folder();
     let [codes, out] = ["codes.npy", "book"].map(|name| path(&folder, name));
@@ -397,6 +453,9 @@ fn a_codebook_is_drawn_with_the_uses_of_its_codes() {
     let json = json(&format!("{out}/codebook.json"));
     assert_eq!(json["upper"]["codes"][7]["uses"], 2);
     assert_eq!(json["lower"]["codes"][12]["uses"], 1);
+    let memory = self::json(&format!("{out}/memory.json"));
+    assert_eq!(memory["upper"][7]["next"], serde_json::json!([[9, 1]]));
+    assert_eq!(memory["motions"], 1);
     assert_eq!(json["transitions"][0]["from"], serde_json::json!([7, 3]));
     for name in ["upper.svg", "lower.svg", "pairs.svg"] {
         let svg = read(name);

@@ -24,7 +24,7 @@ export default defineConfig({
   server: {
     // `npm run dev` beside a running server.
     proxy: Object.fromEntries(
-      ['/generate', '/info', '/ready', '/docs', '/api-doc'].map((path) => [
+      ['/generate', '/info', '/codes', '/ready', '/docs', '/api-doc'].map((path) => [
         path,
         process.env.BAILANDO ?? 'http://127.0.0.1:8080',
       ]),

@@ -1,22 +1,18 @@
 //! `bailando codebook`: pictures and numbers of a model's pose codes.
 
-use std::{
-    fs,
-    num::NonZeroUsize,
-    path::{Path, PathBuf},
-};
+use std::{fs, num::NonZeroUsize, path::PathBuf};
 
 use anyhow::Context;
 use bailando::{
-    codebook::{Catalogue, Half, Order, Uses},
-    formats::Codes,
+    codebook::{Catalogue, Half, MEMORY_FILE, Memory, Order, Uses},
     model::ModelDirectory,
-    npy::read_array,
 };
 use clap::ValueEnum;
-use ndarray::Array2;
 
-use super::console::{read_file, say, write_file};
+use super::{
+    codes::read_codes,
+    console::{say, write_file},
+};
 
 /// Draw each pose code of a model
 #[derive(Debug, clap::Args)]
@@ -24,7 +20,8 @@ pub(super) struct CodebookArgs {
     /// Model directory
     #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
     model_dir: PathBuf,
-    /// Folder for upper.svg, lower.svg, pairs.svg, codebook.json and index.html
+    /// Folder for upper.svg, lower.svg, pairs.svg, codebook.json and index.html; with --codes also
+    /// memory.json, from which a model directory that has it tells of its training
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Figures in a row
@@ -34,8 +31,8 @@ pub(super) struct CodebookArgs {
     /// between the model's start codes, else between codes drawn evenly
     #[arg(long, default_value_t = 12, value_name = "N")]
     pairs: usize,
-    /// Count how often these files use each code: int64 [2, codes], as `bailando generate
-    /// --codes-out` writes them
+    /// Count how often these files use each code: JSON of dances, or int64 [2, codes], as
+    /// `bailando generate --codes-out` writes them
     #[arg(long, num_args = 1.., value_name = "C.npy")]
     codes: Vec<PathBuf>,
     /// Order of the codes: by number, or the most used in --codes first
@@ -69,6 +66,10 @@ pub(super) fn run(args: &CodebookArgs) -> anyhow::Result<()> {
     if !catalogue.transitions.is_empty() {
         files.push(("pairs.svg", catalogue.transitions_sheet()?));
     }
+    if let Some(uses) = &uses {
+        let memory = Memory::new(uses, directory.manifest_sha256());
+        files.push((MEMORY_FILE, serde_json::to_string(&memory)?));
+    }
     let folder = &args.output;
     fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     for (name, text) in files {
@@ -96,15 +97,4 @@ impl CodebookArgs {
         }
         Ok(Some(uses))
     }
-}
-
-fn read_codes(path: &Path) -> anyhow::Result<Codes> {
-    let problem = || format!("{}: not int64 codes, upper and lower", path.display());
-    let rows: Array2<i64> = read_array(&read_file(path)?).with_context(problem)?;
-    anyhow::ensure!(rows.nrows() == 2, problem());
-    let row = |row: usize| {
-        let codes = rows.row(row).into_iter().map(|&code| u32::try_from(code));
-        codes.collect::<Result<Vec<u32>, _>>().with_context(problem)
-    };
-    Ok(Codes { upper: row(0)?, lower: row(1)? })
 }

@@ -20,11 +20,12 @@ use bailando::{
 use ndarray::Array2;
 
 use super::{
+    codes::read_codes,
     console::{
         STANDARD, Talk, Usage, detail, note, positive_seconds, read_file, say, say_error,
         write_file,
     },
-    inputs::audio_files,
+    inputs::{Input, audio_files},
     output::{FileFormat, OutputArgs, check_folder_of, write_positions},
     progress::Bar,
     rig::RigArgs,
@@ -36,7 +37,7 @@ use super::{
 pub(super) struct GenerateArgs {
     /// Songs (wav, aiff, flac, mp3, ogg, webm, m4a), folders of them, or `-` for standard input
     #[arg(
-        required_unless_present_any = ["features", "print_mapping"],
+        required_unless_present_any = ["features", "codes", "print_mapping"],
         conflicts_with_all = ["features", "print_mapping"]
     )]
     audio: Vec<PathBuf>,
@@ -45,6 +46,10 @@ pub(super) struct GenerateArgs {
     recursive: bool,
     #[command(flatten)]
     output: OutputArgs,
+    /// Dance these pose codes instead of choosing them by the song, which may then be left out: a
+    /// dance's JSON, its `codes`, pairs [[upper, lower], ..], or int64 [2, codes] as npy
+    #[arg(long, value_name = "F.{json,npy}", conflicts_with = "features")]
+    codes: Option<PathBuf>,
     #[command(flatten)]
     options: RequestOptions,
     /// Model directory
@@ -109,6 +114,15 @@ fn print_mapping(rig: &RigArgs) -> anyhow::Result<()> {
 }
 
 impl GenerateArgs {
+    /// The options, with the codes of their file.
+    fn options(&self) -> anyhow::Result<RequestOptions> {
+        let options = self.options.clone();
+        match &self.codes {
+            Some(path) => Ok(options.with_codes(read_codes(path)?)),
+            None => Ok(options),
+        }
+    }
+
     fn open(&self) -> anyhow::Result<Engine> {
         let defaults = EngineConfig::new(&self.model_dir);
         Ok(Engine::open(&EngineConfig {
@@ -123,18 +137,21 @@ impl GenerateArgs {
 
 /// Tries every song; fails at the end when one did not work.
 fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
-    let inputs = audio_files(&args.audio, args.recursive)?;
+    let inputs = match &args.codes {
+        Some(codes) if args.audio.is_empty() => vec![Input::of(codes)],
+        _ => audio_files(&args.audio, args.recursive)?,
+    };
     let rig = args.rig.read()?;
     let targets = args.output.targets(&inputs, rig.as_ref().map(Character::format))?;
+    let options = args.options()?;
     let engine = args.open()?;
-    engine.check(&args.options.generation(OutputFormat::Bvh))?;
+    engine.check(&options.generation(OutputFormat::Bvh))?;
     let mut failures = 0;
     let songs = inputs.len();
     for (input, target) in inputs.iter().zip(targets) {
         let danced = target.map_err(anyhow::Error::from);
         let danced = danced.and_then(|target| {
-            let (target, format) = (&target.0, target.1);
-            one_song((args, rig.as_ref()), &engine, &input.path, (target, format))
+            one_song((args, &options, rig.as_ref()), &engine, &input.path, target)
         });
         if let Err(error) = danced {
             let error = error.context(input.path.display().to_string());
@@ -150,23 +167,26 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
 }
 
 fn one_song(
-    (args, rig): (&GenerateArgs, Option<&Character>),
+    (args, options, rig): (&GenerateArgs, &RequestOptions, Option<&Character>),
     engine: &Engine,
     input: &Path,
-    (target, format): (&Path, FileFormat),
+    (target, format): (PathBuf, FileFormat),
 ) -> anyhow::Result<()> {
     let started = Instant::now();
-    let audio = read_file(input)?;
-    let options = args.options.generation(format.motion());
+    let target = target.as_path();
+    let generation = options.generation(format.motion());
+    let request = match args.audio.is_empty() {
+        true => GenerationRequest::codes(generation),
+        false => GenerationRequest::audio(read_file(input)?, generation),
+    };
     let bar = Arc::new(Bar::new(&input.display().to_string()));
-    let request = GenerationRequest::audio(audio, options).with_progress(Arc::clone(&bar) as _);
-    let output = engine.generate(request)?;
+    let output = engine.generate(request.with_progress(Arc::clone(&bar) as _))?;
     let timings = output.timings;
-    let dance = args.options.looped(output.into_motion(engine.manifest()))?;
+    let dance = options.looped(output.into_motion(engine.manifest()))?;
     drop(bar);
     match rig {
-        Some(rig) => write_file(target, rig.dance(&dance, args.options.plants_feet())?)?,
-        None => args.output.write(&dance, target, format, &args.options)?,
+        Some(rig) => write_file(target, rig.dance(&dance, options.plants_feet())?)?,
+        None => args.output.write(&dance, target, format, options)?,
     }
     detail(&format!("milliseconds: {}", serde_json::to_string(&timings)?));
     report(&dance, target, started);

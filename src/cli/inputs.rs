@@ -24,13 +24,20 @@ pub(super) struct Input {
     pub(super) below: PathBuf,
 }
 
+impl Input {
+    /// A file that is named itself.
+    pub(super) fn of(path: &Path) -> Self {
+        Self { path: path.to_owned(), below: PathBuf::new() }
+    }
+}
+
 /// Lists the files of `inputs`; a folder stands for the audio files inside it, by name: those
 /// directly inside it, or those of its sub-folders too if `recursive`.
 pub(super) fn audio_files(inputs: &[PathBuf], recursive: bool) -> anyhow::Result<Vec<Input>> {
     let mut files = Vec::new();
     for input in inputs {
         if !input.is_dir() {
-            files.push(Input { path: input.clone(), below: PathBuf::new() });
+            files.push(Input::of(input));
             continue;
         }
         let before = files.len();

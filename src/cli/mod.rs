@@ -3,6 +3,7 @@
 mod batch;
 mod bench;
 mod codebook;
+mod codes;
 mod console;
 mod evaluate;
 mod features;
@@ -11,6 +12,7 @@ mod healthcheck;
 mod inputs;
 mod output;
 mod progress;
+mod render;
 mod rig;
 mod serve;
 mod study;
@@ -48,6 +50,8 @@ enum Command {
     Evaluate(Box<evaluate::EvaluateArgs>),
     /// Ask people which of two dances is the better one to a song, and count their answers
     Study(study::StudyArgs),
+    /// Draw a dance as a film or a picture, with the viewer's own scene
+    Render(Box<render::RenderArgs>),
     /// Draw each pose code of a model: a sheet per half of the body, and numbers
     Codebook(codebook::CodebookArgs),
     /// Measure the speed of a model on this machine: stages, steps, many dances at once, long songs
@@ -72,6 +76,7 @@ pub(crate) fn run() -> ExitCode {
         Command::Features(args) => features::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Study(args) => study::run(&args),
+        Command::Render(args) => render::run(&args),
         Command::Codebook(args) => codebook::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Healthcheck(args) => healthcheck::run(&args),

@@ -18,7 +18,6 @@ use super::{
     chunk_decoder::ChunkDecoder,
     chunks::Chunk,
     code_model::SharedDecoder,
-    codes::halves,
     completion::Completion,
     observer::guarded,
     pose::pose,
@@ -26,7 +25,7 @@ use super::{
     prompt::{Ending, Moved, Prompt},
 };
 use crate::{
-    formats::{MusicInfo, Timings},
+    formats::{Codes, MusicInfo, Timings},
     model::ModelDirectory,
     motion::{Finisher, Positions, ToWorld},
 };
@@ -154,7 +153,7 @@ impl MotionBuffer {
         let tail = prompt.tail(codes, ending, prologue.moved, &prologue.directory);
         Ok(GenerationOutput {
             seed: prologue.seed,
-            codes: halves(codes),
+            codes: Codes::of_pairs(codes),
             motion,
             style: prologue.style.take(),
             music: prologue.music.take(),

@@ -15,6 +15,7 @@ use super::{
     decoding::{self, DecodeTask, Prologue},
     effort::DecodeEffort,
     frontend::AudioFrontend,
+    given::check_music,
     prepare::{AcceptedRequest, AudioRequest, Preparer},
     queue::Queue,
     sampler::draw_seed,
@@ -24,6 +25,7 @@ use super::{
 };
 use crate::{
     audio::AudioLimits,
+    codebook::Memory,
     model::{Manifest, ModelDirectory, WindowKind},
     motion::Positions,
 };
@@ -104,6 +106,7 @@ struct Shared {
     preparer: Arc<Preparer>,
     audio: CloseOnDrop<AudioRequest>,
     decoding: Sender<DecodeTask>,
+    memory: Option<Memory>,
 }
 
 impl fmt::Debug for Engine {
@@ -144,9 +147,13 @@ impl Engine {
         let frontend = AudioFrontend::new(features, config.audio.clone(), config.effort);
         frontend.test()?;
         let classifier = directory.style_classifier()?;
-        let preparer = Preparer { classifier, frontend, directory, rows: config.batch, scheduled };
+        let rows = config.batch;
+        let decoder = decoding.clone();
+        let preparer =
+            Preparer { classifier, frontend, directory, rows, scheduled, decoding: decoder };
+        let memory = memory(&preparer.directory);
         let (preparer, audio) = threads::start_frontends(preparer, config.songs, config.queue)?;
-        let engine = Self { shared: Arc::new(Shared { preparer, audio, decoding }) };
+        let engine = Self { shared: Arc::new(Shared { preparer, audio, decoding, memory }) };
         engine.warm_up()?;
         Ok(engine)
     }
@@ -186,6 +193,12 @@ impl Engine {
         self.shared.preparer.directory.manifest_sha256()
     }
 
+    /// How often the model's training used each code; none where the model does not say.
+    #[must_use]
+    pub fn memory(&self) -> Option<&Memory> {
+        self.shared.memory.as_ref()
+    }
+
     /// Whether the scheduler still takes requests.
     #[must_use]
     pub fn is_alive(&self) -> bool {
@@ -198,7 +211,8 @@ impl Engine {
     /// [`EngineError::Option`] names the first option that does not fit.
     pub fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
         let rows = self.shared.preparer.rows;
-        check_options(options, self.manifest(), self.model_sha256(), rows)
+        check_options(options, self.manifest(), self.model_sha256(), rows)?;
+        self.shared.preparer.check_length(options)
     }
 
     /// Submits a request. The returned future gives its output; dropping it cancels the request,
@@ -258,13 +272,13 @@ impl Engine {
         completion: &Arc<Completion>,
     ) -> Result<(), EngineError> {
         let GenerationRequest { music, options, progress, stream, longest, owner } = request;
+        check_music(&music, &options)?;
         let accepted = self.accept(options, completion)?;
         let request = AcceptedRequest { progress, stream, longest, owner, ..accepted };
+        let queue = &self.shared.audio.0;
         match music {
-            MusicSource::Audio(audio) => {
-                let queue = &self.shared.audio.0;
-                queue.push(AudioRequest { audio, request })
-            }
+            MusicSource::Audio(audio) => queue.push(AudioRequest { audio: Some(audio), request }),
+            MusicSource::None => queue.push(AudioRequest { audio: None, request }),
             MusicSource::Features(rows) => self.shared.preparer.schedule_features(rows, request),
         }
     }
@@ -289,6 +303,14 @@ impl Engine {
             submitted: Instant::now(),
         })
     }
+}
+
+/// Dances do not depend on the memory: one that does not fit costs only itself.
+fn memory(directory: &ModelDirectory) -> Option<Memory> {
+    Memory::read(directory).unwrap_or_else(|error| {
+        tracing::warn!(%error, "the model's memory is left out");
+        None
+    })
 }
 
 fn step_threads(manifest: &Manifest, threads: usize) -> usize {

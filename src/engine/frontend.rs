@@ -76,6 +76,11 @@ impl AudioFrontend {
         }
     }
 
+    /// The longest music in seconds that is danced to.
+    pub(super) fn max_seconds(&self) -> f64 {
+        self.limits.max_seconds
+    }
+
     /// Loads the beat network, and runs it.
     ///
     /// # Errors

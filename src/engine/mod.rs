@@ -3,12 +3,12 @@
 //! A request's way: [`Engine::submit`] checks its options → a frontend thread decodes the song and
 //! computes its features (`frontend`, `prepare`) → the scheduler's thread chooses code pairs, one
 //! step for all running requests (`scheduler`, `sequence`) → the decoder's thread makes motion of
-//! each chunk of codes and finishes it (`decoding`) → the future of the caller.
+//! each chunk of codes and finishes it (`decoding`) → the future of the caller. Codes that the
+//! caller gives go to the decoder's thread from the frontend (`given`).
 
 mod chunk_decoder;
 mod chunks;
 mod code_model;
-mod codes;
 mod completion;
 mod conditioning;
 mod decoding;
@@ -19,6 +19,7 @@ mod error;
 #[cfg(test)]
 mod fake;
 mod frontend;
+mod given;
 mod guidance;
 mod observer;
 mod options;

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     audio::AudioRange,
-    formats::Continuation,
+    formats::{Codes, Continuation},
     model::{
         MAX_CANDIDATES, MAX_GUIDANCE, MAX_TEMPERATURE, Manifest, Manner, NO_STYLE, StyleClassifier,
         Vocabulary, WindowKind,
@@ -21,6 +21,8 @@ use crate::{
 /// What a caller may choose about a generation (API.md). `None` means the manifest's default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GenerationOptions {
+    /// The codes of the dance; chosen by the model if absent.
+    pub codes: Option<Codes>,
     /// Seed of the one generator of this request; drawn if absent.
     pub seed: Option<u64>,
     /// 0 takes the most likely code.
@@ -91,6 +93,7 @@ pub(crate) struct SamplingParams {
 impl Default for GenerationOptions {
     fn default() -> Self {
         Self {
+            codes: None,
             seed: None,
             temperature: None,
             top_k: None,
@@ -148,6 +151,7 @@ impl GenerationOptions {
         self.check_batch(manifest, batch)?;
         self.check_start(manifest.vocabulary)?;
         self.check_tail(manifest)?;
+        self.check_codes(manifest.vocabulary)?;
         if !motion::FRAME_RATES.contains(&self.fps) {
             let rates = motion::FRAME_RATES.map(|rate| rate.to_string()).join(", ");
             return refuse("fps", format!("{} is not one of {rates}", self.fps));
@@ -275,6 +279,54 @@ impl GenerationOptions {
         let defaults = manifest.sampling;
         let temperature = self.temperature.unwrap_or(defaults.temperature);
         temperature != 0.0 && self.top_k.or(defaults.top_k) != Some(1)
+    }
+
+    /// Given codes must be the model's, in pairs, and leave nothing to draw.
+    fn check_codes(&self, vocabulary: Vocabulary) -> Result<(), EngineError> {
+        let Some(Codes { upper, lower }) = &self.codes else {
+            return Ok(());
+        };
+        if upper.is_empty() || upper.len() != lower.len() {
+            let problem = format!(
+                "there are {} upper and {} lower codes, expected pairs of them, at least one",
+                upper.len(),
+                lower.len()
+            );
+            return refuse("codes", problem);
+        }
+        for (half, codes, size) in
+            [("upper", upper, vocabulary.upper), ("lower", lower, vocabulary.lower)]
+        {
+            if let Some(place) = codes.iter().position(|&code| code as usize >= size) {
+                let problem = format!(
+                    "number {} of the {half} codes is {}, and this model has 0 to {}",
+                    place + 1,
+                    codes[place],
+                    size - 1
+                );
+                return refuse("codes", problem);
+            }
+        }
+        let drawing = [
+            ("temperature", self.temperature.is_some()),
+            ("top_k", self.top_k.is_some()),
+            ("style", self.style.is_some()),
+            ("energy", self.energy.is_some()),
+            ("guidance", self.guidance.is_some()),
+            ("candidates", self.candidates.is_some()),
+            ("redo", self.redo.is_some()),
+            ("start_upper", self.start_upper.is_some()),
+            ("start_lower", self.start_lower.is_some()),
+            ("window", self.window.is_some()),
+            ("hop", self.hop.is_some()),
+        ];
+        match drawing.into_iter().find(|(_, is_given)| *is_given) {
+            Some((name, _)) => {
+                let problem = "it says how codes are chosen, and `codes` gives them: leave out one";
+                refuse(name, problem.to_owned())
+            }
+            None => Ok(()),
+        }
     }
 
     /// Codes of a tail must be the model's, and leave no choice of others.

@@ -3,13 +3,14 @@
 use std::{sync::Arc, time::Instant};
 
 use bytes::Bytes;
+use crossbeam_channel::Sender;
 use ndarray::Array2;
 
 use super::{
     EngineError, GenerationOptions, MotionStream, Opening, Progress, Stage,
     completion::Completion,
     conditioning::Conditioning,
-    decoding::{MotionBuffer, MotionSink, Prologue},
+    decoding::{DecodeTask, MotionBuffer, MotionSink, Prologue},
     frontend::{AudioFrontend, Selection},
     queue::{Entry, Queue},
     scheduler::ScheduledRequest,
@@ -36,7 +37,8 @@ pub(crate) struct AcceptedRequest {
 
 /// An accepted request whose song is not decoded yet.
 pub(crate) struct AudioRequest {
-    pub(crate) audio: Bytes,
+    /// None where codes are given, which need none.
+    pub(crate) audio: Option<Bytes>,
     pub(crate) request: AcceptedRequest,
 }
 
@@ -55,6 +57,8 @@ pub(crate) struct Preparer {
     /// Rows of the batch.
     pub(crate) rows: usize,
     pub(crate) scheduled: Arc<Queue<ScheduledRequest>>,
+    /// The decoder thread.
+    pub(crate) decoding: Sender<DecodeTask>,
 }
 
 impl Preparer {
@@ -64,6 +68,10 @@ impl Preparer {
     /// Whatever is wrong with the song; [`EngineError::QueueFull`].
     pub(crate) fn schedule_audio(&self, audio: AudioRequest) -> Result<(), EngineError> {
         let AudioRequest { audio, mut request } = audio;
+        if let Some(codes) = request.options.codes.take() {
+            return self.decode_given(codes, audio, request);
+        }
+        let audio = audio.unwrap_or_else(|| unreachable!("`check_music` has found a song"));
         let manifest = self.directory.manifest();
         let options = &request.options;
         let lead = lead(&request, manifest);
@@ -90,15 +98,25 @@ impl Preparer {
             conditioning = conditioning.after_prompt(manifest.frames_per_code);
         }
         let conditioning = self.in_manner(conditioning, &mut request);
-        let sink = match request.stream.take() {
-            None => {
-                let options = finish_options(&request, manifest.fps);
-                let finisher = Finisher::whole(&manifest.skeleton, &options)?;
-                MotionSink::Finish(Box::new(joined(finisher, &request)?))
-            }
-            Some(stream) => self.open_stream(stream, &request, &conditioning)?,
-        };
+        let codes = conditioning.features.nrows() - request.prologue.prompt.given();
+        let sink = self.finishing_sink(&mut request, codes)?;
         self.schedule(request, conditioning, sink)
+    }
+
+    /// Where a motion of so many new codes goes that is finished: the request's stream, if it has
+    /// one.
+    pub(super) fn finishing_sink(
+        &self,
+        request: &mut AcceptedRequest,
+        codes: usize,
+    ) -> Result<MotionSink, EngineError> {
+        if let Some(stream) = request.stream.take() {
+            return self.open_stream(stream, request, codes);
+        }
+        let manifest = self.directory.manifest();
+        let options = finish_options(request, manifest.fps);
+        let finisher = Finisher::whole(&manifest.skeleton, &options)?;
+        Ok(MotionSink::Finish(Box::new(joined(finisher, request)?)))
     }
 
     /// Schedules a request to feature rows.
@@ -130,7 +148,10 @@ impl Preparer {
         let conditioning = self.in_manner(conditioning, &mut request);
         let sink = match request.stream.take() {
             None => MotionSink::Keep(Array2::default((0, 0))),
-            Some(stream) => self.open_stream(stream, &request, &conditioning)?,
+            Some(stream) => {
+                let codes = conditioning.features.nrows() - request.prologue.prompt.given();
+                self.open_stream(stream, &request, codes)?
+            }
         };
         self.schedule(request, conditioning, sink)
     }
@@ -184,14 +205,12 @@ impl Preparer {
         &self,
         stream: Arc<dyn MotionStream>,
         request: &AcceptedRequest,
-        conditioning: &Conditioning,
+        codes: usize,
     ) -> Result<MotionSink, EngineError> {
         let manifest = self.directory.manifest();
         let finish = finish_options(request, manifest.fps);
         let prologue = &request.prologue;
-        let rows = conditioning.features.nrows() - prologue.prompt.given();
-        let unshown = manifest.frames_per_code - prologue.prompt.shown;
-        let all = rows * manifest.frames_per_code + unshown % manifest.frames_per_code;
+        let all = prologue.prompt.frames_with(codes, manifest.frames_per_code);
         let decoded = prologue.length.map_or(all, |length| length.min(all)) as u64;
         let frames = (decoded * u64::from(finish.fps)).div_ceil(u64::from(finish.decoded_fps));
         stream.opened(Opening {
@@ -251,7 +270,7 @@ fn from_lead(range: AudioRange, lead: usize, fps: u32) -> AudioRange {
 
 /// Frames to decode for `round(seconds * fps)` frames at `fps`: so many that interpolation between
 /// them gives no frame more.
-fn decoded_length(seconds: f64, fps: u32, decoded_fps: u32) -> usize {
+pub(super) fn decoded_length(seconds: f64, fps: u32, decoded_fps: u32) -> usize {
     let frames = (seconds * f64::from(fps)).round().max(1.0) as u64;
     (frames * u64::from(decoded_fps) / u64::from(fps)) as usize
 }

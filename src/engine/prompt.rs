@@ -1,8 +1,8 @@
 //! Where a motion begins and ends on the floor, and what a later one must know to continue it.
 
-use super::{GenerationOptions, codes::halves, conditioning::PROMPT_CODES};
+use super::{GenerationOptions, conditioning::PROMPT_CODES};
 use crate::{
-    formats::Continuation,
+    formats::{Codes, Continuation},
     model::{ModelDirectory, code_pairs},
     motion::Seam,
 };
@@ -69,6 +69,11 @@ impl Prompt {
         if self.codes.is_empty() { 0 } else { PROMPT_CODES }
     }
 
+    /// Decoded frames of so many new codes, with those that are left of the prompt's last code.
+    pub(crate) fn frames_with(&self, codes: usize, per_code: usize) -> usize {
+        codes * per_code + (per_code - self.shown) % per_code
+    }
+
     /// What a motion after this one's `codes` must know; none if a tail cannot hold the codes of
     /// the model. A dancer that is held in place is held at 0, wherever the motion before ended.
     pub(crate) fn tail(
@@ -85,7 +90,7 @@ impl Prompt {
         }
         let count = (manifest.decoder.receptive_codes + 1).min(LONGEST_TAIL);
         let (codes, shown) = self.shown_codes(codes, ending.frames, manifest.frames_per_code);
-        let codes = halves(&codes[codes.len().saturating_sub(count)..]);
+        let codes = Codes::of_pairs(&codes[codes.len().saturating_sub(count)..]);
         let place = self.place_after(ending.walked, moved);
         let sha256 = directory.manifest_sha256();
         let heading = if moved.mirrored { -ending.heading } else { ending.heading };

@@ -35,6 +35,8 @@ pub enum MusicSource {
     /// Feature rows `[rows, columns]` as the manifest's features say. They carry no beats to the
     /// frame, so that there is one candidate for every segment.
     Features(Array2<f32>),
+    /// None: the options carry the codes to dance.
+    None,
 }
 
 impl GenerationRequest {
@@ -48,6 +50,12 @@ impl GenerationRequest {
     #[must_use]
     pub fn features(rows: Array2<f32>, options: GenerationOptions) -> Self {
         Self::new(MusicSource::Features(rows), options)
+    }
+
+    /// A motion of the codes that `options` carry.
+    #[must_use]
+    pub fn codes(options: GenerationOptions) -> Self {
+        Self::new(MusicSource::None, options)
     }
 
     fn new(music: MusicSource, options: GenerationOptions) -> Self {
@@ -103,7 +111,7 @@ pub struct GenerationOutput {
 /// The motion of a generation.
 #[derive(Clone, Debug)]
 pub enum MotionOutput {
-    /// To audio: on the floor, with rotations, at the wanted frame rate.
+    /// To audio, or of given codes: on the floor, with rotations, at the wanted frame rate.
     Finished(Finished),
     /// To feature rows: as decoded, `[frames, 3 joints]` in world directions, root velocity in
     /// columns 0..3, other joints relative to the root.

@@ -4,7 +4,12 @@ use std::fmt;
 
 use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
 
-use crate::formats::Continuation;
+use crate::formats::{Codes, Continuation};
+
+/// Longest value of most options that is read, in bytes.
+pub(super) const LONGEST_VALUE: usize = 1024;
+/// Longest value of `codes` that is read, in bytes: those of a dance of three hours.
+pub(super) const LONGEST_CODES: usize = 1 << 20;
 
 /// What an option accepts.
 #[derive(Clone, Copy)]
@@ -22,6 +27,8 @@ pub(crate) enum Accepts {
     Tail,
     /// A name whose model says whether it knows it.
     Style,
+    /// Pose codes.
+    Codes,
 }
 
 impl Accepts {
@@ -38,6 +45,15 @@ impl Accepts {
             Self::Boolean => boolean(text).is_some(),
             Self::Tail => text.parse::<Continuation>().is_ok(),
             Self::Style => !text.is_empty(),
+            Self::Codes => text.parse::<Codes>().is_ok(),
+        }
+    }
+
+    /// Most bytes of a value that is read.
+    pub(crate) const fn longest(self) -> usize {
+        match self {
+            Self::Codes => LONGEST_CODES,
+            _ => LONGEST_VALUE,
         }
     }
 
@@ -63,6 +79,7 @@ impl Accepts {
             Self::Boolean => of(Type::Boolean),
             Self::Tail => of(Type::String).pattern(Some("^[A-Za-z0-9_-]{31,1024}$")),
             Self::Style => of(Type::String).pattern(Some("^[a-z0-9-]{1,32}$")),
+            Self::Codes => of(Type::String).max_length(Some(LONGEST_CODES)),
         }
         .build()
     }
@@ -92,6 +109,7 @@ impl fmt::Display for Accepts {
             Self::Boolean => f.write_str("true or false"),
             Self::Tail => f.write_str("the `tail` that came with an earlier dance"),
             Self::Style => f.write_str("auto, or a style of the model"),
+            Self::Codes => f.write_str(Codes::WRITTEN),
         }
     }
 }

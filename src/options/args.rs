@@ -28,7 +28,7 @@ fn arg(spec: &'static OptionSpec) -> Arg {
     let arg = match spec.section {
         Section::Sampling => arg.help_heading("Sampling"),
         Section::Song => arg.help_heading("Song and motion"),
-        Section::Output | Section::HttpOutput => arg,
+        Section::Output | Section::HttpOutput | Section::HttpInput => arg,
     };
     match spec.accepts.words() {
         Some(words) => arg.value_parser(PossibleValuesParser::new(words).map(String::from)),
@@ -41,7 +41,7 @@ fn arg(spec: &'static OptionSpec) -> Arg {
 
 fn flags() -> impl Iterator<Item = &'static OptionSpec> {
     let all = OPTIONS.iter();
-    all.filter(|spec| spec.section != Section::HttpOutput)
+    all.filter(|spec| !matches!(spec.section, Section::HttpOutput | Section::HttpInput))
 }
 
 impl Args for RequestOptions {

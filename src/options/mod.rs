@@ -13,13 +13,10 @@ use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
     formats::{
-        FormatError, GeneratedMotion, JsonOptions, LoopOptions, OutputFormat, PositionsSource,
-        WriteOptions,
+        Codes, FormatError, GeneratedMotion, JsonOptions, LoopOptions, OutputFormat,
+        PositionsSource, WriteOptions,
     },
 };
-
-/// Longest option value that is read, in bytes.
-pub(crate) const LONGEST_VALUE: usize = 1024;
 
 /// An option that is not accepted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -42,7 +39,7 @@ impl OptionSpec {
     /// # Errors
     /// What was wrong and what is accepted.
     fn check(&self, text: &str) -> Result<(), String> {
-        match text.len() <= LONGEST_VALUE && self.accepts.admits(text) {
+        match text.len() <= self.accepts.longest() && self.accepts.admits(text) {
             true => Ok(()),
             false => Err(format!("got {:?}, expected {}", shorten(text), self.accepts)),
         }
@@ -128,6 +125,17 @@ impl RequestOptions {
         self.duration_s
     }
 
+    /// The number of code pairs that are given, if they are.
+    pub(crate) fn given_codes(&self) -> Option<usize> {
+        self.codes.as_ref().map(|codes| codes.upper.len())
+    }
+
+    /// These options for a dance of `codes`.
+    #[must_use]
+    pub fn with_codes(self, codes: Codes) -> Self {
+        Self { codes: Some(codes), ..self }
+    }
+
     /// These options, with the output options of `other` in the place of their own.
     ///
     /// # Errors
@@ -171,6 +179,7 @@ impl RequestOptions {
         let sampling = self.sampling();
         let positions = self.positions.map_or(sampling.positions, |PositionsOption(from)| from);
         GenerationOptions {
+            codes: self.codes.clone(),
             range: AudioRange {
                 offset_s: self.offset_s.unwrap_or_default(),
                 duration_s: self.duration_s,
@@ -185,6 +194,12 @@ impl RequestOptions {
             ..sampling
         }
     }
+}
+
+/// Most bytes that are read of the value of the option of this name.
+pub(crate) fn longest_value(name: &str) -> usize {
+    let option = OPTIONS.iter().find(|option| option.name == name);
+    option.map_or(accepts::LONGEST_VALUE, |option| option.accepts.longest())
 }
 
 fn names<'a>(options: impl Iterator<Item = &'a OptionSpec>) -> String {
@@ -229,7 +244,7 @@ mod tests {
              &duration_s=2e1&root_motion=false&mirror=true&clean=false&positions=decoder\
              &bars=8&loop=false&music=true&include=rotations&encoding=base64&bvh_unit=m\
              &skeleton=vrm\
-             &mannequin=false",
+             &mannequin=false&codes=[[4,5]]",
         )
         .unwrap();
         let (upper, lower) = (vec![1], vec![2]);
@@ -249,6 +264,7 @@ mod tests {
         assert_eq!(
             options.generation(OutputFormat::Bvh),
             GenerationOptions {
+                codes: Some(Codes { upper: vec![4], lower: vec![5] }),
                 seed: Some(MAX_SEED),
                 temperature: Some(0.5),
                 top_k: Some(7),
@@ -314,6 +330,7 @@ mod tests {
     #[test]
     fn a_wrong_option_is_refused_with_what_is_accepted() {
         let long = format!("seed={}", "1".repeat(10_000));
+        let codes = format!("codes=[{}[1,2]]", "[1,2],".repeat(accepts::LONGEST_CODES / 6));
         for (text, wanted) in [
             ("fps=25", "option `fps`: got \"25\", expected one of 20, 24, 30, 60"),
             ("seed=-1", "expected a whole number from 0 to 9007199254740991"),
@@ -343,6 +360,8 @@ mod tests {
             ("format=mp4", "expected one of json, bvh, glb, vrma, fbx, vmd, npz"),
             ("skeleton=maya", "expected one of smpl, mixamo, vrm, unreal"),
             (&long, "1.."),
+            (&codes, "option `codes`: got \"[[1,2],"),
+            ("codes=[1,2]", "expected JSON of pose codes: {\"upper\": [..], \"lower\": [..]}"),
         ] {
             let problem = query(text).unwrap_err();
             assert!(problem.contains(wanted), "{text}: {problem}");

@@ -4,7 +4,9 @@
 use super::accepts::{Accepts, boolean};
 use crate::{
     engine::{GenerationOptions, MAX_CANDIDATES, MAX_GUIDANCE, MAX_SEED, MAX_TEMPERATURE},
-    formats::{BvhUnit, Continuation, Encoding, OutputFormat, PositionsSource, TargetSkeleton},
+    formats::{
+        BvhUnit, Codes, Continuation, Encoding, OutputFormat, PositionsSource, TargetSkeleton,
+    },
     model::WindowKind,
     motion::FRAME_RATES,
 };
@@ -20,6 +22,8 @@ pub(crate) enum Section {
     Output,
     /// As [`Section::Output`], with a flag of another form on the command line.
     HttpOutput,
+    /// As [`Section::Song`], with a flag of another form on the command line.
+    HttpInput,
 }
 
 /// One option: its name, what it does, what it accepts, and where it goes.
@@ -50,7 +54,7 @@ macro_rules! from_text {
 }
 
 from_text! {
-    f32 f64 u32 u64 usize String BvhUnit Encoding OutputFormat TargetSkeleton Continuation
+    f32 f64 u32 u64 usize String BvhUnit Encoding OutputFormat TargetSkeleton Continuation Codes
 }
 
 impl FromText for bool {
@@ -232,6 +236,12 @@ options! {
              (`smpl`), or a T-pose of Mixamo, VRM or the Unreal mannequin.";
         mannequin: bool, Accepts::Boolean, "true",
             "Whether glb carries a doll that dances; without it there are bones alone.";
+    }
+    HttpInput {
+        codes: Codes, Accepts::Codes, "chosen by the model",
+            "Pose codes of the dance, which then are decoded as they are; a song is not needed. As \
+             JSON: the `codes` of an earlier result, changed or not, or pairs [[upper, lower], \
+             ..]. They decide the length, unless duration_s is shorter.";
     }
     HttpOutput {
         format: OutputFormat, Accepts::Words(&FORMATS), "json",

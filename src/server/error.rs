@@ -167,7 +167,7 @@ errors! {
         BAD_REQUEST "invalid_multipart" Multipart(String) => "{0}";
         BAD_REQUEST "missing_audio" MissingAudio
             => "no audio was sent: send a file as part `file` of multipart/form-data, or as the \
-                body itself with content type audio/*";
+                body itself with content type audio/*, or send pose codes as `codes`";
         BAD_REQUEST "missing_audio" EmptyAudio
             => "the file of part `file` is empty: 0 bytes arrived, so send the audio itself";
         BAD_REQUEST "upload_broken" UploadBroken => "the upload broke off before its end";

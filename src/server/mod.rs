@@ -10,6 +10,7 @@ mod callbacks;
 mod config;
 mod description;
 mod error;
+mod film;
 mod info;
 mod intake;
 mod jobs;
@@ -36,6 +37,7 @@ pub use config::{
     StorageConfig, StorageError,
 };
 pub use error::ErrorBody;
+pub use film::{Film, serve_film};
 pub use jobs::storage::JobStorage;
 pub use metrics::Metrics;
 pub use openapi::openapi_json;

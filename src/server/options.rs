@@ -13,7 +13,7 @@ use utoipa::{
 };
 
 use super::error::ServerError;
-pub(crate) use crate::options::{LONGEST_VALUE, RequestOptions, shorten};
+pub(crate) use crate::options::{RequestOptions, longest_value, shorten};
 use crate::{
     engine::accepted_styles,
     options::{Accepts, OPTIONS, OptionSpec},
@@ -129,14 +129,14 @@ fn rig_parts() -> [(&'static str, Object); 2] {
     [("rig", file.build()), ("rig_mapping", mapping.build())]
 }
 
-/// The multipart form: the audio and any of the options, as the OpenAPI document shows it.
+/// The multipart form: the audio, which pose codes can stand in for, and any of the options, as the
+/// OpenAPI document shows it.
 pub(crate) struct GenerateForm;
 
 impl PartialSchema for GenerateForm {
     fn schema() -> RefOr<Schema> {
         let form = ObjectBuilder::new()
             .property("file", AudioFile::schema())
-            .required("file")
             .additional_properties(Some(AdditionalProperties::<Schema>::FreeForm(false)));
         let with = |form: ObjectBuilder, option: &OptionSpec| {
             let mut schema = option.accepts.schema();

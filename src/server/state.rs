@@ -17,6 +17,7 @@ use super::{
     serving::lifecycle::Lifecycle,
 };
 use crate::{
+    codebook::Memory,
     engine::{Engine, EngineError, Generation, GenerationOptions, GenerationRequest, Pending},
     model::Manifest,
     motion::Positions,
@@ -30,6 +31,11 @@ pub trait Generate: Send + Sync + 'static {
 
     /// SHA-256 of the loaded manifest, which identifies the whole model.
     fn model_sha256(&self) -> &str;
+
+    /// How often the model's training used each code; none where the model does not say.
+    fn memory(&self) -> Option<&Memory> {
+        None
+    }
 
     /// Whether generations can still succeed: false once the model has stopped for good.
     fn is_alive(&self) -> bool {
@@ -57,6 +63,10 @@ impl Generate for Engine {
 
     fn model_sha256(&self) -> &str {
         self.model_sha256()
+    }
+
+    fn memory(&self) -> Option<&Memory> {
+        self.memory()
     }
 
     fn is_alive(&self) -> bool {

@@ -26,7 +26,7 @@ impl Order {
         state: &SharedState,
         stay: Stay,
     ) -> Result<Permit, ServerError> {
-        let said = self.options.longest_seconds();
+        let said = self.said_seconds();
         let is_long = said.is_some_and(|seconds| seconds > self.short_seconds(&state.limits));
         let stay = if is_long { Stay::Long } else { stay };
         state.resources.admission.admit(self.client, stay).await
@@ -50,7 +50,11 @@ impl Order {
         };
         let work = Work::begin(&self.tracker, Held { upload, audio: held, permit: Some(permit) });
         let options = self.options.generation(self.shape.format);
-        let request = GenerationRequest::audio(audio, options).owned_by(self.client.number());
+        let request = match audio.is_empty() {
+            true => GenerationRequest::codes(options),
+            false => GenerationRequest::audio(audio, options),
+        };
+        let request = request.owned_by(self.client.number());
         let request = request.with_progress(Arc::clone(&work) as _);
         Ok((short.into_iter().fold(request, GenerationRequest::within), work))
     }
@@ -66,8 +70,19 @@ impl Order {
             true => self.short_seconds(limits).min(limits.max_audio_seconds),
             false => limits.max_audio_seconds,
         };
-        let asked = self.options.longest_seconds().unwrap_or(longest);
+        let asked = self.said_seconds().unwrap_or(longest);
         asked.min(longest).ceil() as u64
+    }
+
+    /// The longest dance that the request says, by its options or by codes without a song.
+    fn said_seconds(&self) -> Option<f64> {
+        let asked = self.options.longest_seconds();
+        let given = self.options.given_codes().filter(|_| self.audio.is_empty());
+        let given = given.map(|codes| codes as f64 / self.engine.manifest().codes_per_second());
+        match (asked, given) {
+            (Some(asked), Some(given)) => Some(asked.min(given)),
+            (asked, given) => asked.or(given),
+        }
     }
 }
 

@@ -1,8 +1,9 @@
-//! The engine over the tiny models: golden samplings, requests side by side, models that are
-//! refused.
+//! The engine over the tiny models: golden samplings, requests side by side, given codes,
+//! models that are refused.
 
 mod batching;
 mod dancer_frame;
+mod given;
 mod refusals;
 mod sampling;
 mod styles;

@@ -154,7 +154,7 @@ async fn wrong_options_are_refused_before_any_work() {
                  style=waltz energy=2 energy=0.5 start_upper=512 window=wide hop=29 offset_s=-1 \
                  duration_s=0 root_motion=2 \
                  include=all encoding=hex bvh_unit=inch continue_from=abc format=mp4 \
-                 skeleton=maya mannequin=2 \
+                 skeleton=maya mannequin=2 codes=[1,2] codes=[[1,512]] codes=[] \
                  no_such_option=1 seed=1&seed=2 seed seed=%FF";
     for query in wrong.split(' ') {
         let name = query.split('=').next().unwrap();

@@ -91,6 +91,50 @@ async fn a_song_becomes_every_format_on_every_skeleton() {
     }
 }
 
+/// Six seconds of a song's dance, and its third pair repeated for a minute: more than other options
+/// may have bytes.
+#[tokio::test(flavor = "multi_thread")]
+async fn given_codes_become_every_format_without_a_song() {
+    let service = service();
+    let dance = send(&service, raw("seed=3&duration_s=6", song("demo.ogg"))).await;
+    let mut given = codes(&dance);
+    let text = given.to_string();
+    let again = send(&service, form("seed=3&duration_s=6", &[("codes", text.as_bytes())])).await;
+    assert_eq!(codes(&again), given);
+    assert!(again.json()["positions"] == dance.json()["positions"]);
+    for half in ["upper", "lower"] {
+        let half = given[half].as_array_mut().unwrap();
+        half.resize(450, half[2].clone());
+    }
+    let given = given.to_string();
+    for (format, start) in [
+        ("json", &b"{\"model\""[..]),
+        ("bvh", b"HIERARCHY"),
+        ("glb", b"glTF"),
+        ("vrma", b"glTF"),
+        ("fbx", b"Kaydara FBX Binary"),
+        ("vmd", b"Vocaloid Motion Data 0002"),
+        ("npz", b"PK"),
+    ] {
+        let parts: [(&str, &[u8]); 3] =
+            [("codes", given.as_bytes()), ("format", format.as_bytes()), ("fps", b"30")];
+        let answer = send(&service, form("", &parts)).await;
+        assert_eq!(answer.status, StatusCode::OK, "{format}");
+        assert!(answer.body.starts_with(start), "{format}");
+        if format == "json" {
+            assert_eq!(answer.json()["frames"], 1800);
+        }
+    }
+    let mut streamed = in_lines(form("", &[("codes", given.as_bytes())]));
+    *streamed.uri_mut() = "/generate/stream".parse().unwrap();
+    let events = lines(&send(&service, streamed).await);
+    assert_eq!(events[0]["frames"], 3600);
+    assert_eq!(events.last().unwrap()["event"], "done");
+    let wrong = form("", &[("codes", b"[[3, 4], [5, 99999]]")]);
+    let said = send(&service, wrong).await.expect_error(400, "invalid_option");
+    assert!(said.contains("number 2 of the lower codes is 99999"), "{said}");
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_seed_repeats_and_another_differs() {
     let service = service();

@@ -2,18 +2,25 @@
 //
 // BAILANDO: the server's binary, or the address of one that runs; default target/debug/bailando.
 // CHROMIUM: the browser; default: the first of chromium, chromium-browser, google-chrome.
+import assert from 'node:assert/strict';
 import { spawn, spawnSync } from 'node:child_process';
 import { join } from 'node:path';
+import { after, before, test } from 'node:test';
 import { chromium } from 'playwright-core';
 
-const project = join(import.meta.dirname, '../..');
+export const project = join(import.meta.dirname, '../..');
+
+/** The server's binary or address, and the model. */
+export const settings = () => ({
+  binary: process.env.BAILANDO ?? join(project, 'target/debug/bailando'),
+  model: process.env.BAILANDO_MODEL_DIR ?? join(project, 'models/default'),
+});
 
 /** Starts a server on a free port; `address` is where it answers. */
-export async function startServer(...settings) {
-  const binary = process.env.BAILANDO ?? join(project, 'target/debug/bailando');
+export async function startServer(...more) {
+  const { binary, model } = settings();
   if (/^https?:/.test(binary)) return { address: binary.replace(/\/*$/, '/'), stop() {} };
-  const model = process.env.BAILANDO_MODEL_DIR ?? join(project, 'models/default');
-  const args = ['serve', '--port', '0', '--json-output', '--model-dir', model, ...settings];
+  const args = ['serve', '--port', '0', '--json-output', '--model-dir', model, ...more];
   const child = spawn(binary, args, { cwd: project, stdio: ['ignore', 'pipe', 'pipe'] });
   const address = await new Promise((resolve, reject) => {
     let log = '';
@@ -85,3 +92,43 @@ export const complete = (page) =>
 
 /** Sets the length of the next dance in seconds. */
 export const setLength = (page, seconds) => page.fill('#length', String(seconds));
+
+export const upload = (page, name, buffer) =>
+  page.setInputFiles('#file', { name, mimeType: 'application/octet-stream', buffer });
+/** Where a dancer's left wrist is. */
+export const wrist = (page, member = 0) =>
+  page.evaluate((i) => {
+    const { figure } = window.bailando.cast.members[i];
+    return figure.joint('l_wrist', figure.object.position.clone()).toArray();
+  }, member);
+/** Waits until what was asked for has been drawn. */
+export const drawn = (page) =>
+  page.evaluate(async () => {
+    window.bailando.stage.invalidate();
+    for (let i = 0; i < 3; i++) await new Promise(requestAnimationFrame);
+  });
+export const pause = (page) => page.evaluate(() => window.bailando.player.pause());
+
+/** A server and a browser for the tests of a file. */
+export function pages() {
+  const running = { server: null, browser: null };
+  before(async () => {
+    [running.server, running.browser] = await Promise.all([startServer(), startBrowser()]);
+  });
+  after(async () => {
+    await running.browser?.close();
+    running.server?.stop();
+  });
+  /** Runs `body` on a fresh page and checks that the browser had nothing to complain about. */
+  const onPage = (name, options, body) =>
+    test(name, async (context) => {
+      const { page, problems } = await openPage(running.browser, running.server.address, options);
+      try {
+        await body(page, context);
+        assert.deepEqual(problems, []);
+      } finally {
+        await page.context().close();
+      }
+    });
+  return { onPage, running };
+}

@@ -1,35 +1,21 @@
 // The page in a real browser: `make web-test`.
 import assert from 'node:assert/strict';
-import { after, before, test } from 'node:test';
+import { test } from 'node:test';
 import { clicks, silence, vrm } from './files.mjs';
-import { complete, danced, openPage, setLength, startBrowser, startServer } from './setup.mjs';
+import {
+  complete,
+  danced,
+  drawn,
+  openPage,
+  pages,
+  pause,
+  setLength,
+  startServer,
+  upload,
+  wrist,
+} from './setup.mjs';
 
-let server;
-let browser;
-
-before(async () => {
-  [server, browser] = await Promise.all([startServer(), startBrowser()]);
-});
-after(async () => {
-  await browser?.close();
-  server?.stop();
-});
-
-/** Runs `body` on a fresh page and checks that the browser had nothing to complain about. */
-function onPage(name, options, body) {
-  test(name, async (context) => {
-    const { page, problems } = await openPage(browser, server.address, options);
-    try {
-      await body(page, context);
-      assert.deepEqual(problems, []);
-    } finally {
-      await page.context().close();
-    }
-  });
-}
-
-const upload = (page, name, buffer) =>
-  page.setInputFiles('#file', { name, mimeType: 'application/octet-stream', buffer });
+const { onPage, running } = pages();
 const state = (page) =>
   page.evaluate(() => {
     const { player, bar } = window.bailando;
@@ -42,22 +28,8 @@ const state = (page) =>
       duration: player.duration,
     };
   });
-const hips = (page, member = 0) =>
-  page.evaluate((i) => {
-    const { figure } = window.bailando.cast.members[i];
-    const at = figure.object.position.clone();
-    return figure.joint('l_wrist', at).toArray();
-  }, member);
-/** Waits until what was asked for has been drawn. */
-const drawn = (page) =>
-  page.evaluate(async () => {
-    window.bailando.stage.invalidate();
-    for (let i = 0; i < 3; i++) await new Promise(requestAnimationFrame);
-  });
-const pause = (page) => page.evaluate(() => window.bailando.player.pause());
-
 onPage('the demo song is danced', {}, async (page, context) => {
-  const still = await hips(page);
+  const still = await wrist(page);
   const took = await page.evaluate(async () => {
     const { player } = window.bailando;
     const begun = performance.now();
@@ -68,7 +40,7 @@ onPage('the demo song is danced', {}, async (page, context) => {
   });
   context.diagnostic(`first frames on screen after ${took.toFixed(0)} ms`);
   await page.waitForFunction(() => window.bailando.player.tick(performance.now()) > 1);
-  assert.notDeepEqual(await hips(page), still);
+  assert.notDeepEqual(await wrist(page), still);
   await complete(page);
   assert.equal(await page.textContent('#tempo'), '103 BPM');
   const { duration } = await state(page);
@@ -141,11 +113,11 @@ onPage('playback by keyboard', {}, async (page) => {
   assert.ok((await state(page)).playing);
   assert.ok(Math.min(...seen) >= from - 0.05 && Math.max(...seen) <= to + 0.3, String(seen));
   await page.keyboard.press(' ');
-  const before = await hips(page);
+  const before = await wrist(page);
   await page.keyboard.press('m');
   await drawn(page);
   assert.ok((await state(page)).mirror);
-  assert.notDeepEqual(await hips(page), before);
+  assert.notDeepEqual(await wrist(page), before);
   await page.keyboard.press('?');
   assert.ok(await page.isVisible('#keys'));
   await page.click('#keys button');
@@ -199,7 +171,7 @@ onPage('errors are shown in the server’s words', {}, async (page) => {
   await upload(page, 'broken.mp3', Buffer.from('this is no song'));
   await page.waitForSelector('#banner:not([hidden])');
   const said = await page.textContent('#banner-text');
-  const asked = await page.request.post(`${server.address}generate`, {
+  const asked = await page.request.post(`${running.server.address}generate`, {
     multipart: {
       file: { name: 'broken.mp3', mimeType: 'audio/mpeg', buffer: Buffer.from('this is no song') },
     },
@@ -302,7 +274,7 @@ onPage('every format is downloaded, and the command is copied', {}, async (page,
   assert.equal(
     command,
     `curl -F 'file=@"my song.wav"' -F seed=11 -F format=bvh ` +
-      `${server.address}generate -o 'my song.bvh'`,
+      `${running.server.address}generate -o 'my song.bvh'`,
   );
 });
 
@@ -395,7 +367,7 @@ test('a server with keys asks for one', async () => {
   if (/^http/.test(process.env.BAILANDO ?? '')) return;
   const keyed = await startServer('--api-key', 'open-sesame');
   try {
-    const { page } = await openPage(browser, keyed.address);
+    const { page } = await openPage(running.browser, keyed.address);
     await upload(page, 'clicks.wav', clicks(2));
     await page.waitForSelector('#key-field:not([hidden])');
     await page.fill('#key', 'open-sesame');

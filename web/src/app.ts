@@ -1,10 +1,12 @@
 import { Server, ServerFault } from './api/server';
-import type { Info } from './api/types';
+import type { Codes, Info } from './api/types';
 import { Player } from './audio/player';
 import { waveform } from './audio/waveform';
 import { Cast } from './cast';
-import type { Dancer } from './dancer';
+import { type Dancer, recoded } from './dancer';
+import { Editor } from './edit/editor';
 import { generate } from './generation';
+import { Memory } from './memory/memory';
 import { footContacts } from './motion/contacts';
 import { Skeleton } from './motion/skeleton';
 import type { BuildName } from './scene/body';
@@ -18,6 +20,9 @@ import { TransportBar } from './ui/transport';
 
 /** Seconds between two questions whether the model is loaded. */
 const LOADING_RETRY = 1.5;
+
+/** Seconds that are played before what was changed. */
+const LEAD = 0.7;
 
 type State = 'empty' | 'generating' | 'ready';
 
@@ -36,6 +41,13 @@ export class App {
     (error) => this.banner.show(error),
     (text) => this.say(text),
   );
+  private readonly memory = new Memory(
+    this.server,
+    () => this.stage.invalidate(),
+    (error) => this.banner.show(error),
+  );
+  private readonly editor = new Editor(() => this.server.codes());
+  private editing: AbortController | null = null;
   private info: Info | null = null;
   private skeleton: Skeleton | null = null;
   private song: File | null = null;
@@ -47,6 +59,7 @@ export class App {
     new Intake(
       (file) => this.take(file),
       (file) => void this.choose(file),
+      (file) => void this.watch(file),
       (error) => this.banner.show(error),
     );
     this.results.mirrored = () => this.bar.mirror;
@@ -60,6 +73,10 @@ export class App {
     byId('key').addEventListener('change', () => {
       this.server.key = byId<HTMLInputElement>('key').value.trim();
     });
+    byId('memory-open').addEventListener('click', () => void this.openMemory());
+    this.memory.panel.onclose = () => this.closeMemory();
+    this.editor.onchange = (codes, from) => void this.edited(codes, from);
+    byId('dancers').addEventListener('change', () => this.edit(true));
     this.figures();
     const dark = matchMedia('(prefers-color-scheme: dark)');
     const paint = () => this.stage.paint(dark.matches ? 'dark' : 'light');
@@ -89,6 +106,22 @@ export class App {
     this.skeleton = new Skeleton(this.info.model.skeleton);
     await this.cast.rest(this.skeleton);
     byId<HTMLButtonElement>('dance').disabled = this.song === null;
+    byId<HTMLButtonElement>('memory-open').disabled = false;
+  }
+
+  private async openMemory(): Promise<void> {
+    if (!this.skeleton || this.memory.open) return;
+    this.player.pause();
+    this.banner.hide();
+    await Promise.all([this.memory.enter(), this.cast.show(this.skeleton, [this.memory.dancer])]);
+    this.stage.invalidate();
+  }
+
+  private closeMemory(): void {
+    this.memory.leave();
+    const dancers = this.dancers.length > 0 ? this.dancers : [null];
+    if (this.skeleton) void this.cast.show(this.skeleton, dancers);
+    byId('memory-open').focus();
   }
 
   private take(song: File): void {
@@ -99,12 +132,47 @@ export class App {
     if (this.info) void this.dance();
   }
 
+  /** Plays a VRM animation, to the song that there is. */
+  private async watch(file: File): Promise<void> {
+    const { skeleton, song } = this;
+    if (!skeleton) return;
+    this.running?.abort();
+    this.editing?.abort();
+    if (this.memory.open) this.closeMemory();
+    this.banner.hide();
+    try {
+      // Loaded on demand, as characters are.
+      const { readAnimation } = await import('./scene/vrma');
+      const dance = await readAnimation(file, skeleton);
+      this.dancers = [{ place: 0, options: {}, dance, state: 'done' }];
+      await this.cast.show(skeleton, this.dancers);
+      if (song) this.player.load(song, 0);
+      else this.player.loadSilent();
+      this.player.duration = this.player.available = dance.duration;
+      this.bar.reset(undefined);
+      this.bar.timeline.show({ duration: dance.duration, available: dance.duration, offset: 0 });
+      this.shownContacts = -1;
+      this.contacts();
+      this.editor.show(null, 0, true);
+      byId('result').hidden = true;
+      this.setState('ready');
+      this.say(file.name);
+      void this.player.play();
+      this.stage.invalidate();
+    } catch (error) {
+      this.banner.show(error);
+    }
+  }
+
   private async dance(): Promise<void> {
     const { song, skeleton } = this;
     if (!song || !skeleton) return;
     this.running?.abort();
+    this.editing?.abort();
+    if (this.memory.open) this.closeMemory();
     const running = (this.running = new AbortController());
     this.banner.hide();
+    this.editor.show(null, 0, true);
     this.setState('generating');
     this.say('Listening to the song…');
     const asked = this.form.dancers();
@@ -120,9 +188,6 @@ export class App {
     this.bar.reset(undefined);
     this.shownContacts = -1;
     this.results.show(song, this.dancers);
-    void waveform(song).then((found) => {
-      if (running === this.running || this.song === song) this.drawn(song, found);
-    });
     try {
       const generated = generate(this.server, song, this.dancers, running.signal, {
         started: (dancer) => this.started(dancer, offset),
@@ -172,6 +237,12 @@ export class App {
       // People who want less motion start the dance by hand.
       const calm = matchMedia('(prefers-reduced-motion: reduce)').matches;
       if (!calm) void this.player.play();
+      // Only now: it would take time from a server on the same machine.
+      const { song } = this;
+      if (song)
+        void waveform(song).then((found) => {
+          if (running === this.running || this.song === song) this.drawn(song, found);
+        });
     }
     this.stage.invalidate();
   }
@@ -199,13 +270,56 @@ export class App {
     if (silent) this.say(sound);
     else if (document.body.dataset.state !== 'generating') this.say('');
     this.results.refresh();
+    this.edit(true);
+    this.stage.invalidate();
+  }
+
+  /** Offers the codes of the chosen dance for changes. */
+  private edit(isNew: boolean): void {
+    const dance = this.results.chosen?.dance;
+    this.editor.show(dance?.codes ?? null, dance?.duration ?? 0, isNew);
+  }
+
+  /** Dances other codes from here on; what was danced before plays until they are there. */
+  private async edited(codes: Codes, from: number): Promise<void> {
+    const dancer = this.results.chosen;
+    const before = dancer?.dance;
+    if (!dancer || !before) return;
+    this.editing?.abort();
+    const { signal } = (this.editing = new AbortController());
+    const fresh = { ...dancer, options: recoded(dancer, codes), dance: null };
+    try {
+      const reports = {
+        started: () => undefined,
+        arrived: () => undefined,
+        warned: (text: string) => this.say(text),
+      };
+      await generate(this.server, null, [fresh], signal, reports);
+    } catch (error) {
+      if (!signal.aborted) this.banner.show(error);
+      return;
+    }
+    const { dance, options } = fresh as Dancer;
+    if (signal.aborted || !dance) return;
+    dance.music = before.music;
+    Object.assign(dancer, { dance, options, state: 'done' });
+    this.shownContacts = -1;
+    this.contacts();
+    this.results.refresh();
+    this.player.seek(Math.max(from - LEAD, 0));
+    void this.player.play();
     this.stage.invalidate();
   }
 
   private frame(now: number, seconds: number): boolean {
+    if (this.memory.open) {
+      this.cast.update(this.memory.time(now), false, seconds);
+      return this.memory.dancer.dance !== null;
+    }
     const time = this.player.tick(now);
     this.cast.update(time, this.bar.mirror, seconds);
     this.bar.show(time);
+    this.editor.at(time);
     return this.player.playing;
   }
 

@@ -7,9 +7,11 @@ import { Mannequin } from './scene/mannequin';
 import type { Stage } from './scene/stage';
 import { SPACING } from './scene/view';
 
-const SKIN = new Color('#dcd8d0');
+export const SKIN = new Color('#dcd8d0');
 /** As `.dot` in the style sheet. */
-const ACCENTS = ['#e2553d', '#1f8f91', '#d99a1c', '#7a5bd0'].map((colour) => new Color(colour));
+export const ACCENTS = ['#e2553d', '#1f8f91', '#d99a1c', '#7a5bd0'].map(
+  (colour) => new Color(colour),
+);
 
 interface Member {
   figure: Figure;

@@ -15,7 +15,7 @@ export interface Reports {
 /** Generates the dances of all `dancers` at the same time; fails with the first that fails. */
 export async function generate(
   server: Server,
-  song: File,
+  song: File | null,
   dancers: Dancer[],
   signal: AbortSignal,
   reports: Reports,
@@ -28,7 +28,7 @@ export async function generate(
 
 async function one(
   server: Server,
-  song: File,
+  song: File | null,
   dancer: Dancer,
   signal: AbortSignal,
   reports: Reports,
@@ -47,6 +47,7 @@ async function one(
         throw new ServerFault(event.error, event.error_type, event.request_id, 500, null);
       } else if (event.event === 'done') {
         dancer.state = 'done';
+        if (dancer.dance) dancer.dance.codes = event.codes;
       }
     }
     if (dancer.state !== 'done') throw interrupted();

@@ -8,6 +8,7 @@ import { bodyOf, BUILDS } from '../src/scene/body';
 import { bodyDistance } from '../src/scene/distance';
 import { Retarget } from '../src/scene/retarget';
 import { mesh } from '../src/scene/surface';
+import { REPEATS, shown, speeds } from '../src/memory/speed';
 import fixture from '../../tests/fixtures/motion/skeleton.json';
 
 const json = fixture as never as {
@@ -177,4 +178,34 @@ test('another character points its limbs where the motion does', () => {
   expect((Math.asin(-upper.y) * 180) / Math.PI).toBeLessThan(78);
   expect(lower.y).toBeLessThan(-0.99);
   expect(place('pelvis').y).toBeCloseTo(pose.root[1], 1);
+});
+
+test('a held pair is measured in its middle, a change where it is fastest', () => {
+  const frames = 2 * REPEATS * 8;
+  const made = dance(frames, () => [0, 0, 0, 1]);
+  const joints = json.joints.length;
+  // All joints rise at 0.6 m/s before the change, and stand after it; in it they leap by 10 cm.
+  for (let frame = 0; frame < frames; frame++) {
+    const height = frame < frames / 2 ? frame * 0.01 : (frames / 2) * 0.01 + 0.1;
+    for (let joint = 0; joint < joints; joint++)
+      made.positions.set([0, height, 0], (frame * joints + joint) * 3);
+  }
+  const { held, change } = speeds(made);
+  expect(held[0]).toBeCloseTo(0.6, 4);
+  expect(held[1]).toBeCloseTo(0, 4);
+  expect(change).toBeCloseTo(6.6, 3);
+  expect(speeds(dance(REPEATS * 8, () => [0, 0, 0, 1])).change).toBeNull();
+  expect(shown(2)).toEqual([32 / 60, 160 / 60]);
+});
+
+test('a dance in a file is that of a stream, in numbers or packed', () => {
+  const numbers = (width: number) => [json.joints.map((_, i) => Array(width).fill(i / 8))];
+  const flat = (values: number[][][]) => packed(values.flat(2));
+  const head = { seed: 1, fps: 60, frames: 1, skeleton: json };
+  const [positions, rotations, root] = [numbers(3), numbers(4), [[1, 2, 3]]];
+  const written = Dance.of({ ...head, positions, rotations, root });
+  const text = { positions: flat(positions), rotations: flat(rotations), root: packed(root[0]) };
+  expect(Dance.of({ ...head, ...text })).toEqual(written);
+  expect(written.available).toBe(1);
+  expect([...written.positions.slice(3, 6)]).toEqual([0.125, 0.125, 0.125]);
 });

@@ -1,5 +1,7 @@
 //! The crate's error.
 
+use std::path::PathBuf;
+
 use bailando_model::ModelError;
 use bailando_motion::MotionError;
 
@@ -9,6 +11,14 @@ pub enum CodebookError {
     /// A motion uses codes that the model does not have, or not in pairs.
     #[error("{0}")]
     Codes(String),
+    /// A model's memory does not fit the model.
+    #[error("{}: {problem}", path.display())]
+    Memory {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        problem: String,
+    },
     /// The decoder failed.
     #[error(transparent)]
     Model(#[from] ModelError),

@@ -15,6 +15,8 @@ pub struct Uses {
     /// Upper, then lower.
     counts: [Vec<u64>; 2],
     changes: BTreeMap<[Pair; 2], u64>,
+    pairs: BTreeMap<Pair, u64>,
+    motions: u64,
 }
 
 impl Uses {
@@ -24,6 +26,8 @@ impl Uses {
         Self {
             counts: [vocabulary.upper, vocabulary.lower].map(|codes| vec![0; codes]),
             changes: BTreeMap::new(),
+            pairs: BTreeMap::new(),
+            motions: 0,
         }
     }
 
@@ -53,7 +57,11 @@ impl Uses {
                 counts[code as usize] += 1;
             }
         }
+        self.motions += 1;
         let pairs: Vec<Pair> = upper.iter().zip(lower).map(|(&u, &l)| [u, l]).collect();
+        for &pair in &pairs {
+            *self.pairs.entry(pair).or_insert(0) += 1;
+        }
         for (&from, &to) in pairs.iter().zip(pairs.iter().skip(1)) {
             if from != to {
                 *self.changes.entry([from, to]).or_insert(0) += 1;
@@ -66,6 +74,30 @@ impl Uses {
     #[must_use]
     pub fn of(&self, half: Half) -> &[u64] {
         half.of::<Vec<u64>>(&self.counts)
+    }
+
+    /// Number of motions.
+    #[must_use]
+    pub fn motions(&self) -> u64 {
+        self.motions
+    }
+
+    /// Other codes of a half that came after `code`.
+    pub(crate) fn next(&self, half: Half, code: u32) -> BTreeMap<u32, u64> {
+        let mut next = BTreeMap::new();
+        for ([from, to], uses) in &self.changes {
+            let (from, to) = (*half.of(from), *half.of(to));
+            if from == code && to != code {
+                *next.entry(to).or_insert(0) += uses;
+            }
+        }
+        next
+    }
+
+    /// Codes of the other half at the same time as `code`.
+    pub(crate) fn beside(&self, half: Half, code: u32) -> BTreeMap<u32, u64> {
+        let with = self.pairs.iter().filter(|(pair, _)| *half.of(pair) == code);
+        with.map(|(pair, &uses)| (*half.other().of(pair), uses)).collect()
     }
 
     /// The most frequent changes with their counts, in descending order.

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests: failing loudly is their job")]
 
-use bailando_codebook::{Catalogue, Half, Order, Uses};
+use bailando_codebook::{Catalogue, Half, MEMORY_FILE, Memory, Order, Uses};
 use bailando_formats::Codes;
 use bailando_model::ModelDirectory;
 use bailando_testkit::model::{changed, tiny, tiny_dancer};
@@ -206,4 +206,20 @@ fn the_page_holds_every_sheet_and_needs_nothing_else() {
     for reference in ["src=", "href=", "url(", "@import"] {
         assert!(!page.contains(reference), "{reference}");
     }
+}
+
+#[test]
+fn a_memory_is_read_with_its_own_model_only() {
+    let (folder, directory) = model();
+    assert_eq!(Memory::read(&directory).unwrap(), None);
+    let memory = Memory::new(&counted(&directory), directory.manifest_sha256());
+    let write = |memory: &Memory| {
+        let text = serde_json::to_string(memory).unwrap();
+        std::fs::write(folder.path().join(MEMORY_FILE), text).unwrap();
+    };
+    write(&memory);
+    assert_eq!(Memory::read(&directory).unwrap(), Some(memory.clone()));
+    write(&Memory { manifest_sha256: "other".into(), ..memory });
+    let error = Memory::read(&directory).unwrap_err().to_string();
+    assert!(error.ends_with("memory.json: it counts the codes of another model"), "{error}");
 }

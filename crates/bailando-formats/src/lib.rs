@@ -67,7 +67,7 @@ mod vrma;
 pub use bailando_motion::PositionsSource;
 pub use bvh::{BvhUnit, to_bvh, to_bvh_for};
 pub use character::{BoneNames, Character, FoundBy, RigFormat, RigLimits, RigMapping};
-pub use codes::Codes;
+pub use codes::{Codes, NoCodes};
 pub use continuation::Continuation;
 pub use error::FormatError;
 pub use events::{DoneJson, FramesJson, Start, StartJson, done_event, frames_event, start_event};

@@ -52,6 +52,12 @@ impl ModelDirectory {
         Ok(Self { root: root.to_path_buf(), manifest, manifest_sha256 })
     }
 
+    /// The folder.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
     /// The manifest.
     #[must_use]
     pub fn manifest(&self) -> &Manifest {

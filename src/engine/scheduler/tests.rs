@@ -81,7 +81,7 @@ impl Harness {
                 Box::new(model),
                 decoder,
                 Arc::clone(&directory),
-                decoding,
+                decoding.clone(),
                 Arc::clone(&observer) as _,
             ),
             script,
@@ -96,6 +96,7 @@ impl Harness {
                 ),
                 rows,
                 scheduled: Arc::new(Queue::new(1)),
+                decoding,
             },
             _folder: folder,
         }

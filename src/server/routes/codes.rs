@@ -12,6 +12,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::{
+    codebook::Memory,
     engine::EngineError,
     formats::{CodePoseJson, pose_json},
     model::SuppressedCodes,
@@ -46,6 +47,11 @@ pub(crate) struct Codebooks {
     /// Codes that are never drawn: what a dancer cannot do alone, say. They can be given all the
     /// same.
     suppressed_codes: SuppressedCodes,
+    /// How often the training used each code, and what came next; absent where the model does not
+    /// say.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    memory: Option<Memory>,
 }
 
 /// Describes the two codebooks.
@@ -62,7 +68,8 @@ pub(crate) struct Codebooks {
 pub(crate) async fn codebooks(
     State(state): State<SharedState>,
 ) -> Result<Json<Codebooks>, ServerError> {
-    let manifest = state.loaded()?.engine.manifest();
+    let engine = &state.loaded()?.engine;
+    let manifest = engine.manifest();
     Ok(Json(Codebooks {
         upper: manifest.vocabulary.upper,
         lower: manifest.vocabulary.lower,
@@ -72,6 +79,7 @@ pub(crate) async fn codebooks(
         lower_joints: manifest.lower_joints.clone(),
         start_codes: manifest.start_codes.clone(),
         suppressed_codes: manifest.suppressed_codes.clone(),
+        memory: engine.memory().cloned(),
     }))
 }
 

@@ -32,10 +32,13 @@ const ASSETS: &[Asset] = assets! {
     "index.html": "text/html; charset=utf-8",
     "viewer/avatar.js": "text/javascript; charset=utf-8",
     "viewer/demo.mp3": "audio/mpeg",
+    "viewer/film.js": "text/javascript; charset=utf-8",
+    "viewer/gltf.js": "text/javascript; charset=utf-8",
     "viewer/icon.svg": "image/svg+xml",
     "viewer/index.css": "text/css; charset=utf-8",
     "viewer/index.js": "text/javascript; charset=utf-8",
     "viewer/licences.txt": "text/plain; charset=utf-8",
+    "viewer/vrma.js": "text/javascript; charset=utf-8",
 };
 
 /// Hashes of the built files, which serve as their ETags: weak ones, for bytes are compressed on

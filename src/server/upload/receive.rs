@@ -19,7 +19,7 @@ use crate::server::{
     config::{ByteSize, FORM_OVERHEAD, Limits},
     error::ServerError,
     jobs::options::JobOptions,
-    options::{LONGEST_VALUE, RequestOptions, shorten},
+    options::{RequestOptions, longest_value, shorten},
     resources::UploadReservation,
     rig::RigParts,
 };
@@ -29,6 +29,7 @@ const LONGEST_MAPPING: usize = 16 * 1024;
 
 /// A request that has arrived completely.
 pub(crate) struct Upload {
+    /// Empty where the options carry the codes to dance.
     pub(crate) audio: Bytes,
     pub(crate) rig: RigParts,
     pub(crate) options: RequestOptions,
@@ -82,13 +83,10 @@ pub(crate) async fn receive(
         Media::Form => receive_form(parts, body, asked, limits).await?,
     };
     reservation.received();
-    if upload.audio.is_empty() {
-        return Err(match media {
-            Media::Raw => ServerError::MissingAudio,
-            Media::Form => ServerError::EmptyAudio,
-        });
+    match upload.audio.is_empty() && upload.options.given_codes().is_none() {
+        true => Err(ServerError::MissingAudio),
+        false => Ok(upload),
     }
-    Ok(upload)
 }
 
 fn most_bytes(media: Media, limits: &Limits) -> u64 {
@@ -144,21 +142,24 @@ async fn receive_form(
             }
             rig.file = Some(read_rig(field, &kept, limits).await?);
         } else if name == "rig_mapping" {
-            let value = read_value(field, &kept, limits, LONGEST_MAPPING).await?;
+            let value = read_value(field, &kept, LONGEST_MAPPING, limits).await?;
             if value.len() > LONGEST_MAPPING || rig.mapping.is_some() {
                 let problem = format!("expected one of at most {LONGEST_MAPPING} bytes");
                 return Err(ServerError::Option { name, problem });
             }
             rig.mapping = Some(value);
         } else {
-            let value = read_value(field, &kept, limits, LONGEST_VALUE).await?;
+            let value = read_value(field, &kept, longest_value(&name), limits).await?;
             let taken = job.as_mut().map_or(Ok(false), |job| job.take(&name, &value))?;
             if !taken {
                 options.set(&name, &value)?;
             }
         }
     }
-    Ok(Upload { audio: audio.ok_or(ServerError::MissingAudio)?, rig, options, job })
+    match audio {
+        Some(audio) if audio.is_empty() => Err(ServerError::EmptyAudio),
+        audio => Ok(Upload { audio: audio.unwrap_or_default(), rig, options, job }),
+    }
 }
 
 /// Reads the caller's character.
@@ -179,13 +180,13 @@ async fn read_rig(
     Ok(bytes.freeze())
 }
 
-/// Reads the value of an option. A value that is too long for any option is cut, and refused by its
+/// Reads the value of an option. A value that is longer than `longest` is cut, and refused by its
 /// parser.
 async fn read_value(
     mut field: Field<'_>,
     kept: &Kept,
-    limits: &Limits,
     longest: usize,
+    limits: &Limits,
 ) -> Result<String, ServerError> {
     let mut value = Vec::new();
     while value.len() <= longest

@@ -1,5 +1,5 @@
 import { jsonLines } from './lines';
-import type { ErrorBody, Info, Options, StreamEvent } from './types';
+import type { Codebooks, ErrorBody, Info, Options, StreamEvent } from './types';
 
 /** An answer of the server that is not a success, in the server's words. */
 export class ServerFault extends Error {
@@ -18,6 +18,7 @@ export class ServerFault extends Error {
 export class Server {
   /** API key, kept in memory only. */
   key = '';
+  private books: Promise<Codebooks> | null = null;
 
   /** Address of a route, relative to the page: a proxy may serve it under a path. */
   address(route: string): string {
@@ -28,8 +29,22 @@ export class Server {
     return (await this.fetch('info', {})).json() as Promise<Info>;
   }
 
-  /** Generates a dance; yields its events while it is made. */
-  async *stream(song: File, options: Options, signal: AbortSignal): AsyncGenerator<StreamEvent> {
+  /** The codebooks of the model, which are asked for once. */
+  codes(): Promise<Codebooks> {
+    const ask = async () => (await this.fetch('codes', {})).json() as Promise<Codebooks>;
+    this.books ??= ask().catch((error: unknown) => {
+      this.books = null;
+      throw error;
+    });
+    return this.books;
+  }
+
+  /** Generates a dance, of given codes without a song; yields its events while it is made. */
+  async *stream(
+    song: File | null,
+    options: Options,
+    signal: AbortSignal,
+  ): AsyncGenerator<StreamEvent> {
     const form = formOf(song, { ...options, include: 'rotations', encoding: 'base64' });
     const headers = { accept: 'application/x-ndjson' };
     const answer = await this.fetch('generate/stream', {
@@ -76,11 +91,12 @@ export function interrupted(): ServerFault {
   return new ServerFault(text, 'interrupted', '', 0, null);
 }
 
-function formOf(song: File, options: Options): FormData {
+function formOf(song: File | null, options: Options): FormData {
   const form = new FormData();
   // Options first: the server checks them before it reads the song.
   for (const [name, value] of Object.entries(options)) form.append(name, value);
-  form.append('file', song, song.name);
+  // Given codes need no song.
+  if (song && options.codes === undefined) form.append('file', song, song.name);
   return form;
 }
 
@@ -96,11 +112,12 @@ async function faultOf(answer: Response): Promise<ServerFault> {
   );
 }
 
-/** The command that generates the same file without the page. */
+/** The command that generates the same file without the page; codes need no song. */
 export function curl(address: string, song: string, options: Options, format: string): string {
   const stem = song.replace(/\.[^.]*$/, '');
   const parts = Object.entries({ ...options, format }).map(([name, value]) => `${name}=${value}`);
-  const forms = [`file=@"${song.replace(/(["\\])/g, '\\$1')}"`, ...parts];
+  const file = `file=@"${song.replace(/(["\\])/g, '\\$1')}"`;
+  const forms = options.codes === undefined ? [file, ...parts] : parts;
   const form = forms.map((part) => `-F ${quote(part)}`).join(' ');
   return `curl ${form} ${quote(address)} -o ${quote(`${stem}.${format}`)}`;
 }

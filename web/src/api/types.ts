@@ -24,7 +24,7 @@ export interface OptionInfo {
 
 export interface Info {
   version: string;
-  model: { name: string; licence: string; skeleton: SkeletonJson };
+  model: { name: string; licence: string; skeleton: SkeletonJson; energy?: boolean };
   options: OptionInfo[];
   formats: { name: string; content_type: string }[];
   audio: string[];
@@ -43,21 +43,47 @@ export interface StartEvent {
   warnings?: string[];
 }
 
+/** Little-endian float32 in base64, nested lists, or what these come to. */
+export type Numbers = string | Float32Array | number[][][] | number[][];
+
 export interface FramesEvent {
   event: 'frames';
   first: number;
   count: number;
-  /** Little-endian float32 in base64: `[count][joints][3]`. */
-  positions: string;
+  /** `[count][joints][3]`. */
+  positions: Numbers;
   /** `[count][joints][4]`, x y z w. */
-  rotations: string;
+  rotations: Numbers;
   /** `[count][3]`. */
-  root: string;
+  root: Numbers;
+}
+
+/** Pose codes of both halves of the body, a pair for every 8 frames at 60 a second. */
+export interface Codes {
+  upper: number[];
+  lower: number[];
+}
+
+/** Counts of a code: how often it was used, and other codes with their numbers. */
+export interface CodeUses {
+  uses: number;
+  next: [number, number][];
+  beside: [number, number][];
+}
+
+export interface Codebooks {
+  upper: number;
+  lower: number;
+  start_codes: [number, number][];
+  suppressed_codes: Codes;
+  /** What the training did with each code, where the model says it. */
+  memory?: { upper: CodeUses[]; lower: CodeUses[] };
 }
 
 export interface DoneEvent {
   event: 'done';
   frames: number;
+  codes: Codes;
   warnings?: string[];
 }
 

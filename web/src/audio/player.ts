@@ -44,6 +44,14 @@ export class Player {
     this.audio.currentTime = offset;
   }
 
+  /** Plays without a song. */
+  loadSilent(): void {
+    this.unload();
+    this.offset = 0;
+    this.transport = new SilentTransport();
+    this.rate = this.speed;
+  }
+
   unload(): void {
     this.wanted = this.waiting = false;
     this.transport.pause();

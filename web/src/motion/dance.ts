@@ -1,6 +1,9 @@
 import { floats } from '../api/lines';
-import type { FramesEvent, Music, StartEvent } from '../api/types';
+import type { Codes, FramesEvent, Music, Numbers, StartEvent } from '../api/types';
 import { Skeleton, type Pose } from './skeleton';
+
+/** A whole motion, as `POST /generate` returns it with `include=rotations`. */
+export type DanceJson = Omit<StartEvent, 'event'> & Omit<FramesEvent, 'event' | 'first' | 'count'>;
 
 /** A motion that grows while it is streamed. */
 export class Dance {
@@ -10,13 +13,22 @@ export class Dance {
   readonly frames: number;
   readonly seed: number;
   readonly style: string | undefined;
-  readonly music: Music | undefined;
+  music: Music | undefined;
+  /** Its pose codes, once it is complete. */
+  codes: Codes | null = null;
   /** Frames that have arrived. */
   available = 0;
   /** World positions `[frames][joints][3]`. */
   readonly positions: Float32Array;
   private readonly rotations: Float32Array;
   private readonly root: Float32Array;
+
+  /** A motion that is complete. */
+  static of(json: DanceJson): Dance {
+    const dance = new Dance({ event: 'start', ...json });
+    dance.append({ event: 'frames', first: 0, count: json.frames, ...json });
+    return dance;
+  }
 
   constructor(start: StartEvent) {
     this.skeleton = new Skeleton(start.skeleton);
@@ -44,9 +56,10 @@ export class Dance {
   append(frames: FramesEvent): void {
     const joints = this.skeleton.joints.length;
     const end = Math.min(frames.first + frames.count, this.frames);
-    const put = (into: Float32Array, base64: string, width: number) => {
+    const put = (into: Float32Array, numbers: Numbers, width: number) => {
       const room = (end - frames.first) * width;
-      into.set(floats(base64).subarray(0, room), frames.first * width);
+      const values = typeof numbers === 'string' ? floats(numbers) : flat(numbers);
+      into.set(values.subarray(0, room), frames.first * width);
     };
     put(this.positions, frames.positions, joints * 3);
     put(this.rotations, frames.rotations, joints * 4);
@@ -79,6 +92,11 @@ export class Dance {
       }
     }
   }
+}
+
+function flat(numbers: Exclude<Numbers, string>): Float32Array {
+  if (numbers instanceof Float32Array) return numbers;
+  return Float32Array.from((numbers as number[][][]).flat(2));
 }
 
 /** Normalised linear interpolation of two quaternions, the short way. */

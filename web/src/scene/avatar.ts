@@ -1,9 +1,9 @@
 import { type VRM, VRMLoaderPlugin, VRMUtils } from '@pixiv/three-vrm';
-import { Box3, Group, LoadingManager, type Mesh, type Object3D, Vector3 } from 'three';
-import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
+import { Box3, Group, type Mesh, type Object3D, Vector3 } from 'three';
 import type { Pose, Skeleton } from '../motion/skeleton';
 import { bonesByName, VRM_BONES } from './bones';
 import type { Figure } from './figure';
+import { readGltf } from './gltf';
 import { Retarget } from './retarget';
 
 /** Joints without which a character cannot dance. */
@@ -44,12 +44,7 @@ export class Avatar implements Figure {
 
   /** Reads a .vrm or .glb; the error says what is missing. */
   static async read(file: Blob, skeleton: Skeleton): Promise<Avatar> {
-    const manager = new LoadingManager();
-    // Nothing is fetched from elsewhere, whatever the file names.
-    manager.setURLModifier((url) => (/^(blob|data):/.test(url) ? url : 'data:,'));
-    const loader = new GLTFLoader(manager);
-    loader.register((parser) => new VRMLoaderPlugin(parser));
-    const gltf = await loader.parseAsync(await file.arrayBuffer(), '');
+    const gltf = await readGltf(file, (parser) => new VRMLoaderPlugin(parser));
     const vrm = (gltf.userData.vrm as VRM | undefined) ?? null;
     const model = vrm?.scene ?? gltf.scene;
     if (vrm) VRMUtils.rotateVRM0(vrm);

@@ -32,8 +32,8 @@ export class Stage {
   private readonly key = new DirectionalLight('#fff4e6', 2);
   private readonly rim = new DirectionalLight('#bcd3ff', 0.9);
   /** Whether there is no graphics card: figures are coarser then. */
-  readonly software = drawnInSoftware();
-  private readonly quality = new Quality(devicePixelRatio, this.software);
+  readonly software: boolean;
+  private readonly quality: Quality;
   private readonly shadows = new Map<Figure, ContactShadow>();
   private readonly centre = new Vector3();
   private readonly at = new Vector3();
@@ -42,7 +42,13 @@ export class Stage {
   private moving = false;
   private last = 0;
 
-  constructor(private readonly canvas: HTMLCanvasElement) {
+  /** `film`: size of the pictures of a film, which take as long as they take. */
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    private readonly film: { width: number; height: number } | null = null,
+  ) {
+    this.software = film === null && drawnInSoftware();
+    this.quality = new Quality(film ? 1 : devicePixelRatio, this.software);
     this.renderer = new WebGLRenderer({ canvas, antialias: !this.software, alpha: true });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
@@ -88,9 +94,17 @@ export class Stage {
 
   /** Asks for a picture. */
   invalidate(): void {
-    if (this.pending) return;
+    if (this.pending || this.film) return;
     this.pending = true;
     requestAnimationFrame((now) => this.draw(now));
+  }
+
+  /** Draws a picture of a film at once, `seconds` after the last. */
+  shoot(seconds: number): HTMLCanvasElement {
+    this.follow(seconds);
+    this.view.controls.update();
+    this.renderer.render(this.scene, this.view.camera);
+    return this.canvas;
   }
 
   /** Geometries and textures on the graphics card, for tests of leaks. */
@@ -137,7 +151,7 @@ export class Stage {
   }
 
   private resize(): void {
-    const box = this.canvas.parentElement?.getBoundingClientRect();
+    const box = this.film ?? this.canvas.parentElement?.getBoundingClientRect();
     if (!box || box.width === 0) return;
     this.renderer.setPixelRatio(this.quality.pixelRatio);
     this.renderer.setSize(box.width, box.height);

@@ -9,6 +9,7 @@ export class Intake {
   constructor(
     private readonly song: (file: File) => void,
     private readonly character: (file: File) => void,
+    private readonly animation: (file: File) => void,
     private readonly failed: (error: unknown) => void,
   ) {
     const file = byId<HTMLInputElement>('file');
@@ -27,7 +28,8 @@ export class Intake {
   }
 
   private take(file: File): void {
-    if (/\.(vrm|glb|gltf)$/i.test(file.name)) this.character(file);
+    if (/\.vrma$/i.test(file.name)) this.animation(file);
+    else if (/\.(vrm|glb|gltf)$/i.test(file.name)) this.character(file);
     else this.song(file);
   }
 

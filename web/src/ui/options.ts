@@ -16,6 +16,7 @@ const OWN = [
   'positions',
   'mirror',
   'rig',
+  'codes',
 ];
 /** Options that change the file but not the dance. */
 const OF_FILES = ['fps', 'bvh_unit', 'skeleton'];
@@ -47,7 +48,8 @@ export class OptionsForm {
     const hasStyles = this.offered.has('style') && this.styles.length > 0;
     byId('style-field').hidden = !hasStyles;
     byId('vary-field').hidden = !hasStyles;
-    byId('energy-field').hidden = !this.offered.has('energy');
+    // Every server has the option; only some models know what to do with it.
+    byId('energy-field').hidden = !this.offered.has('energy') || info.model.energy === false;
     byId('style').replaceChildren(
       make('option', { value: '', textContent: 'by the music' }),
       ...this.styles.map((style) => make('option', { value: style, textContent: style })),

@@ -62,7 +62,8 @@ export class Results {
     if (unit) unit.hidden = byId<HTMLSelectElement>('format').value !== 'bvh';
   }
 
-  private get chosen(): Dancer | undefined {
+  /** The dancer that is taken along, and whose codes are edited. */
+  get chosen(): Dancer | undefined {
     const checked = document.querySelector<HTMLInputElement>('[name=dancer]:checked');
     return this.dancers[Number(checked?.value ?? 0)];
   }

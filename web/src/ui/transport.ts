@@ -8,7 +8,8 @@ import { Timeline } from './timeline';
 const SPEEDS = [0.25, 0.5, 0.75, 1, 1.25];
 /** Beats of a loop that is switched on without a range. */
 const LOOP_BEATS = 8;
-const VIEWS: Record<string, [number, number]> = {
+/** Where the camera stands: around the dancer and down from the zenith, in radians. */
+export const VIEWS: Record<string, [number, number]> = {
   front: [0, 1.42],
   side: [Math.PI / 2, 1.42],
   top: [0, 0.12],
@@ -145,6 +146,7 @@ export class TransportBar {
       m: () => byId('mirror').click(),
       s: () => byId('mute').click(),
       f: () => byId('follow').click(),
+      e: () => byId('edit').click(),
       '-': () => this.faster(-1),
       '+': () => this.faster(1),
       '=': () => this.faster(1),
