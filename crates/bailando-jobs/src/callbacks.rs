@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::{JobRecord, JobTable, JobsError, database::Kind, leases::after, record::now};
+use super::{JobRecord, JobTable, JobsError, kind::Kind, leases::after, record::now};
 
 macro_rules! due {
     ($lock:literal) => {

@@ -8,17 +8,10 @@ use sqlx::{
 };
 use tokio::sync::OnceCell;
 
-use super::{JobsError, schema};
+use super::{JobsError, kind::Kind, schema};
 
 /// How long a statement waits for a connection before it has failed.
 const PATIENCE: Duration = Duration::from_secs(5);
-
-/// Which database it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
-    Sqlite,
-    Postgres,
-}
 
 /// A database that is connected to, and whose tables are made, at the first use.
 #[derive(Debug)]

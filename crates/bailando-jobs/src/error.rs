@@ -9,8 +9,8 @@ pub enum JobsError {
     Database(#[from] sqlx::Error),
     /// The database has tables of a later release.
     #[error(
-        "the database of jobs has schema {found}, which a later release wrote: this one knows up to \
-         {known}"
+        "the database of jobs has schema {found}, which a later release wrote: this one knows up \
+         to {known}"
     )]
     Schema {
         /// Version in the database.

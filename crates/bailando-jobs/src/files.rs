@@ -47,8 +47,8 @@ impl Files {
     }
 
     /// The store of a URL: `s3://bucket/prefix`, with key, region and endpoint from the variables
-    /// `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT` ..; or a folder as
-    /// `file:///path`.
+    /// `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT` ..; or a folder
+    /// as `file:///path`.
     ///
     /// # Errors
     /// [`JobsError::Address`], [`JobsError::Folder`].

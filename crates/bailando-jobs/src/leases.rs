@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::{JobRecord, JobTable, JobsError, Millis, database::Kind, record::now};
+use super::{JobRecord, JobTable, JobsError, Millis, kind::Kind, record::now};
 
 /// The right to work on a job until the lease ends.
 #[derive(Clone, Debug)]
@@ -123,7 +123,8 @@ impl JobTable {
         self.change(change).await
     }
 
-    /// Ends a job with its result; its song is needed no more. False if it is no longer the worker's.
+    /// Ends a job with its result; its song is needed no more. False if it is no longer the
+    /// worker's.
     ///
     /// # Errors
     /// [`JobsError::Database`].
@@ -135,8 +136,9 @@ impl JobTable {
         reached: &Reached,
     ) -> Result<bool, JobsError> {
         const CHANGE: &str = "UPDATE jobs SET state = 'done', result_json = $1, result_bytes = $2, \
-             order_bytes = 0, finished_at = $3, lease = NULL, lease_until = NULL, stage = NULL, codes_done = $4, \
-             codes_total = $5, callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE $3 END \
+             order_bytes = 0, finished_at = $3, lease = NULL, lease_until = NULL, stage = NULL, \
+             codes_done = $4, codes_total = $5, \
+             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($3 AS BIGINT) END \
              WHERE id = $6 AND lease = $7";
         let change = sqlx::query(CHANGE)
             .bind(result)
@@ -156,7 +158,7 @@ impl JobTable {
     pub async fn fail(&self, lease: &Lease, error: String) -> Result<bool, JobsError> {
         const CHANGE: &str = "UPDATE jobs SET state = 'failed', error_json = $1, order_bytes = 0, \
              finished_at = $2, lease = NULL, lease_until = NULL, stage = NULL, \
-             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE $2 END \
+             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
              WHERE id = $3 AND lease = $4";
         let change = sqlx::query(CHANGE)
             .bind(error)
@@ -204,11 +206,11 @@ impl JobTable {
         abandoned: String,
     ) -> Result<(), JobsError> {
         const EXPIRE: &str = "UPDATE jobs SET state = 'failed', error_json = $1, finished_at = $2, \
-             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE $2 END \
+             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
              WHERE state = 'queued' AND expires_at <= $2";
         const ABANDON: &str = "UPDATE jobs SET state = 'failed', error_json = $1, \
              finished_at = $2, lease = NULL, lease_until = NULL, stage = NULL, \
-             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE $2 END \
+             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
              WHERE state = 'running' AND lease_until < $2 AND starts >= $3";
         let now = now();
         self.change(sqlx::query(EXPIRE).bind(expired).bind(now)).await?;

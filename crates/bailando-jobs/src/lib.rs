@@ -1,9 +1,9 @@
 //! Durable jobs: a table of them in SQLite or PostgreSQL, and their files in a folder, in memory or
 //! in an S3-compatible store. Knows neither HTTP nor what a job is about.
 //!
-//! A job is `queued` until a worker takes it on a lease. The worker renews the lease while it works;
-//! when it dies, the lease ends and another takes the job. Every change that a worker makes names
-//! its lease, so that one that was given up for dead changes nothing afterwards.
+//! A job is `queued` until a worker takes it on a lease. The worker renews the lease while it
+//! works; when it dies, the lease ends and another takes the job. Every change that a worker makes
+//! names its lease, so that one that was given up for dead changes nothing afterwards.
 //!
 //! ```
 //! # tokio::runtime::Runtime::new()?.block_on(async {
@@ -31,6 +31,7 @@ mod callbacks;
 mod database;
 mod error;
 mod files;
+mod kind;
 mod leases;
 mod record;
 mod schema;

@@ -2,7 +2,7 @@
 
 use sqlx::{Any, Connection, Pool, Row, pool::PoolConnection};
 
-use super::{JobsError, database::Kind};
+use super::{JobsError, kind::Kind};
 
 /// One step from a version of the schema to the next. All values are integers of 64 bits or texts,
 /// so that both databases run the same statements; times are milliseconds since 1970.

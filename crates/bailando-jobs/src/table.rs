@@ -6,9 +6,7 @@ use sqlx::{Any, Row, any::AnyRow, query::Query};
 use uuid::Uuid;
 
 use super::{
-    JobRecord, JobsError, Millis, NewJob, State,
-    database::{Database, Kind},
-    record::now,
+    JobRecord, JobsError, Millis, NewJob, State, database::Database, kind::Kind, record::now,
 };
 
 /// The table of jobs, in SQLite or PostgreSQL. All replicas of a service share one.
@@ -116,10 +114,10 @@ impl JobTable {
     /// # Errors
     /// [`JobsError::Database`].
     pub async fn insert(&self, job: NewJob) -> Result<Inserted, JobsError> {
-        const INSERT: &str = "INSERT INTO jobs (id, owner, request_id, state, priority, created_at, \
-             run_after, expires_at, finished_at, starts, faults, codes_done, codes_total, model, \
-             content_key, idempotency_key, order_json, order_bytes, result_json, result_bytes, \
-             callback_url, callback_after) \
+        const INSERT: &str = "INSERT INTO jobs (id, owner, request_id, state, priority, \
+             created_at, run_after, expires_at, finished_at, starts, faults, codes_done, \
+             codes_total, model, content_key, idempotency_key, order_json, order_bytes, \
+             result_json, result_bytes, callback_url, callback_after) \
              VALUES ($1, $2, $3, $4, $5, $6, $6, $7, $8, 0, 0, 0, 0, $9, $10, $11, $12, $13, $14, \
              $15, $16, $17) ON CONFLICT (owner, idempotency_key) DO NOTHING";
         let (now, done) = (now(), job.result.is_some());

@@ -8,7 +8,7 @@ use bailando::{
     options::RequestOptions,
 };
 
-use super::{BatchArgs, Dancer};
+use super::{args::BatchArgs, dancer::Dancer};
 use crate::cli::console::{read_file, write_file};
 
 pub(super) struct Local {

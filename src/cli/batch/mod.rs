@@ -1,76 +1,31 @@
 //! `bailando batch`: a catalogue of songs, here or by a server; resumable.
 
+mod args;
+mod dancer;
 mod local;
 mod remote;
 mod report;
 
 use std::{
     fs,
-    num::NonZeroUsize,
     path::{Path, PathBuf},
-    sync::Mutex,
+    sync::{Mutex, PoisonError},
     thread,
 };
 
 use anyhow::Context;
-use bailando::{formats::OutputFormat, options::RequestOptions};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use self::report::{Outcome, Report};
+pub(super) use self::args::BatchArgs;
+use self::{
+    dancer::Dancer,
+    report::{Outcome, Report},
+};
 use super::{
-    console::{Talk, Usage, note},
+    console::{Talk, note},
     inputs::{Input, audio_files},
     output::{FileFormat, targets_in},
 };
-
-/// Make dances for a catalogue of songs; run again, it makes what is missing
-#[derive(Debug, clap::Args)]
-#[command(allow_negative_numbers = true)]
-pub(super) struct BatchArgs {
-    /// Folders of songs, with their sub-folders, or songs
-    #[arg(required = true)]
-    songs: Vec<PathBuf>,
-    /// Folder for the results, in the same sub-folders and named after their songs
-    #[arg(short, long, value_name = "DIR")]
-    out_dir: PathBuf,
-    /// Format of the results
-    #[arg(long, default_value = "bvh", value_parser = format)]
-    format: OutputFormat,
-    /// Address of a server that makes the dances, such as http://127.0.0.1:8080 [default: this
-    /// process makes them]
-    #[arg(long, env = "BAILANDO_SERVER")]
-    server: Option<String>,
-    /// Key of the server
-    #[arg(long, env = "BAILANDO_API_KEY", hide_env_values = true, requires = "server")]
-    api_key: Option<String>,
-    /// Songs at the same time
-    #[arg(long, default_value = "4")]
-    at_once: NonZeroUsize,
-    /// Make results that are there once more
-    #[arg(long)]
-    again: bool,
-    /// File for the report: what was made, what failed and why [default: report.json in --out-dir]
-    #[arg(long, value_name = "FILE")]
-    report: Option<PathBuf>,
-    #[command(flatten)]
-    options: RequestOptions,
-    /// Model directory, without --server
-    #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
-    model_dir: PathBuf,
-    /// Threads that compute one step of the model, without --server [default: all cores]
-    #[arg(long, env = "BAILANDO_THREADS")]
-    threads: Option<NonZeroUsize>,
-}
-
-fn format(name: &str) -> Result<OutputFormat, String> {
-    let names = || OutputFormat::ALL.map(OutputFormat::name).join(", ");
-    name.parse().map_err(|_| format!("expected one of {}", names()))
-}
-
-/// Makes one dance: writes the file of a song's result.
-trait Dancer: Sync {
-    fn dance(&self, song: &Path, result: &Path) -> anyhow::Result<()>;
-}
 
 pub(super) fn run(args: &BatchArgs) -> anyhow::Result<()> {
     let inputs = audio_files(&args.songs, true)?;
@@ -103,7 +58,7 @@ pub(super) fn run(args: &BatchArgs) -> anyhow::Result<()> {
         }
     });
     bar.finish_and_clear();
-    let report = report.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let report = report.into_inner().unwrap_or_else(PoisonError::into_inner);
     let file = args.report.clone().unwrap_or_else(|| args.out_dir.join("report.json"));
     report.write(&file)?;
     note(&format!("{}; {}", report.summary(), file.display()));
@@ -142,9 +97,4 @@ fn bar(songs: usize) -> ProgressBar {
         bar.set_style(style.progress_chars("=> "));
     }
     bar
-}
-
-/// A wrong option is wrong for every song.
-fn refuse(error: impl std::fmt::Display) -> anyhow::Error {
-    Usage(error.to_string()).into()
 }

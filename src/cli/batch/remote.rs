@@ -14,7 +14,8 @@ use serde_json::Value;
 use sha2::{Digest, Sha256};
 use ureq::{Agent, Body, http::Response};
 
-use super::{BatchArgs, Dancer, refuse};
+use super::{args::BatchArgs, dancer::Dancer};
+use crate::cli::console::Usage;
 
 /// Time between two questions about a job: the first, and the longest.
 const ASK_AGAIN: Duration = Duration::from_millis(250);
@@ -37,7 +38,8 @@ pub(super) struct Remote {
 impl Remote {
     pub(super) fn new(server: &str, args: &BatchArgs) -> anyhow::Result<Self> {
         if !server.starts_with("http://") && !server.starts_with("https://") {
-            return Err(refuse("--server needs an address such as http://127.0.0.1:8080"));
+            let problem = "--server needs an address such as http://127.0.0.1:8080";
+            return Err(Usage(problem.to_owned()).into());
         }
         let config = Agent::config_builder()
             .http_status_as_error(false)

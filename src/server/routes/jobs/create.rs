@@ -37,9 +37,9 @@ const REPLAYED: HeaderName = HeaderName::from_static("idempotency-replayed");
 
 /// Orders a dance that is fetched later.
 ///
-/// The same input as `POST /generate`, and options of the job itself. The answer comes once the song
-/// and the order are stored: from then on the job is done even if the server dies meanwhile. Jobs
-/// run beside other requests, on half of the places to work in (at least one).
+/// The same input as `POST /generate`, and options of the job itself. The answer comes once the
+/// song and the order are stored: from then on the job is done even if the server dies meanwhile.
+/// Jobs run beside other requests, on half of the places to work in (at least one).
 #[utoipa::path(
     post,
     path = "/jobs",

@@ -6,8 +6,8 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 
 use crate::server::error::ServerError;
 
-/// The part of `size` bytes that a request asks for; none for all of them: several ranges, a unit of
-/// another kind, or bytes of another version that the client has a part of.
+/// The part of `size` bytes that a request asks for; none for all of them: several ranges, a unit
+/// of another kind, or bytes of another version that the client has a part of.
 ///
 /// # Errors
 /// [`ServerError::Range`] for bytes that are not there.

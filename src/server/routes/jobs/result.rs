@@ -37,8 +37,8 @@ use crate::{
 /// Gives a job's dance, in any format.
 ///
 /// The options that say how a dance is written may be given again. Without `format` the Accept
-/// header chooses; where it has no preference, the dance comes as it was ordered. `Range` asks for a
-/// part of the bytes. A job that failed is answered as `POST /generate` would have been.
+/// header chooses; where it has no preference, the dance comes as it was ordered. `Range` asks for
+/// a part of the bytes. A job that failed is answered as `POST /generate` would have been.
 #[utoipa::path(
     get,
     path = "/jobs/{id}/result",

@@ -1,0 +1,49 @@
+//! Flags of `bailando batch`.
+
+use std::{num::NonZeroUsize, path::PathBuf};
+
+use bailando::{formats::OutputFormat, options::RequestOptions};
+
+/// Make dances for a catalogue of songs; run again, it makes what is missing
+#[derive(Debug, clap::Args)]
+#[command(allow_negative_numbers = true)]
+pub(in crate::cli) struct BatchArgs {
+    /// Folders of songs, with their sub-folders, or songs
+    #[arg(required = true)]
+    pub(super) songs: Vec<PathBuf>,
+    /// Folder for the results, in the same sub-folders and named after their songs
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out_dir: PathBuf,
+    /// Format of the results
+    #[arg(long, default_value = "bvh", value_parser = format)]
+    pub(super) format: OutputFormat,
+    /// Address of a server that makes the dances, such as http://127.0.0.1:8080 [default: this
+    /// process makes them]
+    #[arg(long, env = "BAILANDO_SERVER")]
+    pub(super) server: Option<String>,
+    /// Key of the server, where it asks for one
+    #[arg(long, env = "BAILANDO_API_KEY", hide_env_values = true)]
+    pub(super) api_key: Option<String>,
+    /// Songs at the same time
+    #[arg(long, default_value = "4")]
+    pub(super) at_once: NonZeroUsize,
+    /// Make results that are there once more
+    #[arg(long)]
+    pub(super) again: bool,
+    /// File for the report: what was made, what failed and why [default: report.json in --out-dir]
+    #[arg(long, value_name = "FILE")]
+    pub(super) report: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) options: RequestOptions,
+    /// Model directory, without --server
+    #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
+    pub(super) model_dir: PathBuf,
+    /// Threads that compute one step of the model, without --server [default: all cores]
+    #[arg(long, env = "BAILANDO_THREADS")]
+    pub(super) threads: Option<NonZeroUsize>,
+}
+
+fn format(name: &str) -> Result<OutputFormat, String> {
+    let names = || OutputFormat::ALL.map(OutputFormat::name).join(", ");
+    name.parse().map_err(|_| format!("expected one of {}", names()))
+}
