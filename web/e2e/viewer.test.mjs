@@ -42,7 +42,7 @@ onPage('the demo song is danced', {}, async (page, context) => {
   await page.waitForFunction(() => window.bailando.player.tick(performance.now()) > 1);
   assert.notDeepEqual(await wrist(page), still);
   await complete(page);
-  assert.equal(await page.textContent('#tempo'), '103 BPM');
+  assert.equal(await page.textContent('#tempo'), '104 BPM · 4/4');
   const { duration } = await state(page);
   assert.ok(Math.abs(duration - 30.1) < 0.2, String(duration));
 });

@@ -17,6 +17,9 @@ const OWN = [
   'mirror',
   'rig',
   'codes',
+  // A stream has no loop: it would have to know its end first.
+  'loop',
+  'bars',
 ];
 /** Options that change the file but not the dance. */
 const OF_FILES = ['fps', 'bvh_unit', 'skeleton'];
