@@ -94,13 +94,18 @@ fn gap(motion: &Animation, part: &Range<usize>) -> f32 {
     let path = |frame: usize| root[frame] - root[frame.saturating_sub(1)];
     sum += RATE * rate * (back * path(end)).distance(path((start + 1).min(end)));
     for joint in 1..rotations[start].len() {
-        let at = |frame: usize| rotations[frame][joint];
+        let at = rotations_of(rotations, joint);
         sum += difference(at(end), at(start));
         let speed = |frame: usize| turn(at(frame - 1), at(frame));
         sum += RATE * rate * speed(end).distance(speed(start + 1)) / 4.0;
     }
     let travelled = (root[end] - root[start]).with_y(0.0).length();
     sum + TRAVEL * (around.abs() + travelled)
+}
+
+/// The rotation of one joint in any frame.
+fn rotations_of(rotations: &[Vec<Quat>], joint: usize) -> impl Fn(usize) -> Quat {
+    move |frame| rotations[frame][joint]
 }
 
 /// Returns a part and the frame after it, whose heading and place on the floor are those of its
@@ -135,7 +140,7 @@ fn blended(motion: &Animation, fps: u32) -> Animation {
     let speed = (root[next] - root[0]) - (root[frames] - root[frames - 1]);
     let mut targets = vec![at_end(rise, speed)];
     for joint in 0..rotations[0].len() {
-        let at = |frame: usize| rotations[frame][joint];
+        let at = rotations_of(rotations, joint);
         let speed = turn(at(0), at(next)) - turn(at(frames - 1), at(frames));
         targets.push(at_end(turn(at(frames), at(0)), speed));
     }
