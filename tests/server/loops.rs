@@ -27,13 +27,17 @@ async fn bars_are_exact_and_a_loop_has_no_seam() {
         .windows(3)
         .map(|bars| (bars[2] * 60.0).round() - (bars[0] * 60.0).round())
         .collect();
-    for query in ["duration_s=14&bars=2", "duration_s=14&bars=2&loop=false"] {
-        let (poses, dance) = loops(&service, query).await;
+    for looped in [true, false] {
+        let query = format!("duration_s=14&bars=2&loop={looped}");
+        let (poses, dance) = loops(&service, &query).await;
         assert!(frames.contains(&(poses.len() as f64)), "{} of {frames:?}", poses.len());
         assert_eq!(dance["frames"], poses.len());
         assert_eq!(dance["music"]["downbeats_s"].as_array().unwrap().len(), 2, "{query}");
         assert!(dance.get("tail").is_none_or(Value::is_null));
         assert!(dance["warnings"].to_string().contains("the clip is from"));
+        if !looped {
+            continue;
+        }
         let count = poses.len();
         let bend = |at: usize| {
             let [a, b, c] = [at, at + 1, at + 2].map(|frame| &poses[frame % count]);
@@ -45,10 +49,7 @@ async fn bars_are_exact_and_a_loop_has_no_seam() {
         };
         let inside = (0..count - 2).map(bend).fold(0.0, f64::max);
         let seam = bend(count - 2).max(bend(count - 1));
-        match query.ends_with("loop=false") {
-            true => assert!(seam > 3.0 * inside, "{seam} m a frame, inside {inside}"),
-            false => assert!(seam < 2.0 * inside, "{seam} m a frame, inside {inside}"),
-        }
+        assert!(seam < 2.0 * inside, "{seam} m a frame, inside {inside}");
     }
     let many = raw("duration_s=6&bars=60", song("demo.ogg"));
     let error = send(&service, many).await.expect_error(400, "invalid_option");
@@ -61,16 +62,18 @@ async fn bars_are_exact_and_a_loop_has_no_seam() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_mirror_exchanges_left_and_right() {
     let service = service();
-    let (plain, dance) = loops(&service, "duration_s=3").await;
-    let (mirrored, _) = loops(&service, "duration_s=3&mirror=true").await;
+    // As decoded: bones of the two sides differ by some millimetres, and a random model's limbs are
+    // far from what a body can do, which the clean-up mends in its own way on either side.
+    let query = "duration_s=3&clean=false&positions=decoder";
+    let (plain, dance) = loops(&service, query).await;
+    let (mirrored, _) = loops(&service, &format!("{query}&mirror=true")).await;
     let joints: Vec<String> = serde_json::from_value(dance["skeleton"]["joints"].clone()).unwrap();
     let joint = |name: &str| joints.iter().position(|joint| joint == name).unwrap();
     for (left, right) in [("l_wrist", "r_wrist"), ("l_foot", "r_foot"), ("head", "head")] {
         for (frame, (plain, mirrored)) in plain.iter().zip(&mirrored).enumerate() {
             let (a, b) = (plain[joint(left)], mirrored[joint(right)]);
             let apart = [a[0] + b[0], a[1] - b[1], a[2] - b[2]].map(f64::abs);
-            // The skeleton's own sides differ by some centimetres.
-            assert!(apart.iter().all(|apart| *apart < 0.12), "{left}, {frame}: {apart:?}");
+            assert!(apart.iter().all(|apart| *apart < 1e-3), "{left}, {frame}: {apart:?}");
         }
     }
 }

@@ -166,7 +166,7 @@ fn limits_that_mean_nothing_are_wrong_use() {
         ),
         (
             &["--upload-memory=100MB"],
-            "--upload-memory 100MB is less than the largest file in a form",
+            "--upload-memory 100MB is less than the largest song and rig in a form",
         ),
         (
             &["--audio-seconds-in-flight=599"],

@@ -3,7 +3,7 @@
 use std::{
     ffi::OsStr,
     fs,
-    net::{TcpListener, TcpStream},
+    net::TcpListener,
     path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     thread,
@@ -92,8 +92,7 @@ impl Postgres {
     fn answers(&self) -> bool {
         let mut ask = self.command("pg_isready");
         ask.args(["-q", "-h", "127.0.0.1", "-p", &self.port.to_string()]);
-        let listens = || TcpStream::connect(("127.0.0.1", self.port)).is_ok();
-        ask.status().map_or_else(|_| listens(), |status| status.success())
+        ask.status().unwrap().success()
     }
 
     fn data(&self) -> PathBuf {
@@ -138,7 +137,6 @@ fn programs() -> Option<PathBuf> {
     let installed = fs::read_dir("/usr/lib/postgresql").into_iter().flatten().flatten();
     folders.extend(installed.map(|version| version.path().join("bin")));
     let has = |folder: &Path, name: &str| folder.join(name).is_file();
-    folders
-        .into_iter()
-        .find(|folder| ["initdb", "postgres", "pg_ctl"].iter().all(|name| has(folder, name)))
+    let needed = ["initdb", "postgres", "pg_ctl", "pg_isready"];
+    folders.into_iter().find(|folder| needed.iter().all(|name| has(folder, name)))
 }
