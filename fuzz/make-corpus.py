@@ -451,7 +451,27 @@ def gpt():
     return shapes
 
 
+def safetensors(tensors):
+    header, data = {}, b""
+    for name, (dtype, shape, values) in tensors.items():
+        place = [len(data), len(data) + len(values)]
+        header[name] = {"dtype": dtype, "shape": shape, "data_offsets": place}
+        data += values
+    text = json.dumps(header).encode()
+    return struct.pack("<Q", len(text)) + text + data
+
+
 def checkpoints():
+    floats, halves = struct.pack("<4f", 1, 2, 3, 4), struct.pack("<2e", 1, 2)
+    small = {"_orig_mod.a": ("F32", [2, 2], floats), "b": ("F16", [2], halves)}
+    small["c"] = ("BF16", [], b"\0\0")
+    write("checkpoint", "good-small-safetensors", safetensors(small))
+    for name, tensor in (
+        ("integers", ("I64", [2], floats)),
+        ("outside", ("F32", [5], floats)),
+        ("huge", ("F32", [1 << 60], floats)),
+    ):
+        write("checkpoint", f"bad-{name}-safetensors", safetensors({"a": tensor}))
     for name, shapes in (("vqvae", vqvae()), ("gpt", gpt())):
         state = Shapes(shapes).state
         write("checkpoint", f"good-{name}-zip", zipped({"model": state}))

@@ -28,6 +28,8 @@ use crate::formats::OutputFormat;
 pub(crate) enum Purpose {
     /// A dance as the answer.
     Dance,
+    /// The same in a format that is no JSON.
+    File,
     /// Events while it is made.
     Stream,
     /// A dance that is fetched later.
@@ -77,7 +79,7 @@ pub(crate) async fn receive(
             job.check(&state.callbacks)?;
             state.jobs.check_room(client).await?;
         }
-        Purpose::Dance | Purpose::Stream => {
+        Purpose::Dance | Purpose::File | Purpose::Stream => {
             state.resources.admission.check_room(client)?;
             state.resources.check_unread(client)?;
         }
@@ -160,6 +162,14 @@ fn shape(
             encoding,
             lines: false,
         }),
+        Purpose::File => match options.format {
+            None => Ok(Shape { format: OutputFormat::Bvh, encoding, lines: false }),
+            Some(OutputFormat::Json) => Err(ServerError::Option {
+                name: "format".to_owned(),
+                problem: "this route gives files; POST /generate gives json".to_owned(),
+            }),
+            Some(format) => Ok(Shape { format, encoding, lines: false }),
+        },
         // The answer to the order itself is JSON always.
         Purpose::Job => {
             Ok(Shape { format: options.format.unwrap_or_default(), encoding, lines: false })

@@ -24,7 +24,7 @@ use crate::formats::{DoneJson, FramesJson, MotionJson, StartJson};
 /// Names of the two ways to send an API key.
 const SCHEMES: [&str; 2] = ["bearer", "api_key"];
 /// Operations that take a song.
-const TAKE_SONGS: [&str; 3] = ["generate_motion", "stream_motion", "create_job"];
+const TAKE_SONGS: [&str; 4] = ["generate_motion", "generate_file", "stream_motion", "create_job"];
 
 #[derive(OpenApi)]
 #[openapi(
@@ -61,6 +61,7 @@ pub(crate) fn public_routes() -> OpenApiRouter<SharedState> {
 pub(crate) fn keyed_routes() -> OpenApiRouter<SharedState> {
     let mut router = OpenApiRouter::new()
         .routes(routes!(generate::generate))
+        .routes(routes!(generate::generate_file))
         .routes(routes!(stream::stream))
         .routes(routes!(jobs::create::create, jobs::manage::list))
         .routes(routes!(jobs::manage::status, jobs::manage::delete))

@@ -44,16 +44,20 @@ async fn form_and_raw_body_give_the_same() {
     assert!(fake.heard.lock().unwrap().iter().all(|audio| audio == "song"));
 }
 
-/// `curl --data-binary` names the form type when no other is given.
+#[tokio::test]
+async fn a_form_without_files_is_refused_with_what_is_accepted() {
+    let request = with(raw("", "song"), "content-type", "application/x-www-form-urlencoded");
+    let answer = ask(request).await;
+    let said = answer.expect_error(415, "unsupported_media_type");
+    for words in ["multipart/form-data with part `file`", "audio/*", "--data-binary"] {
+        assert!(said.contains(words), "{said}");
+    }
+}
+
 #[tokio::test]
 async fn a_raw_body_may_come_without_an_audio_type() {
-    for kind in [
-        "application/octet-stream",
-        "application/x-www-form-urlencoded",
-        "audio/x-m4a",
-        "video/webm;codecs=opus",
-        "text/plain",
-    ] {
+    for kind in ["application/octet-stream", "audio/x-m4a", "video/webm;codecs=opus", "text/plain"]
+    {
         let request = with(raw("", "song"), "content-type", kind);
         assert_eq!(ask(request).await.status, StatusCode::OK, "{kind}");
     }
@@ -86,6 +90,21 @@ async fn an_explicit_format_wins_over_accept() {
     answer.expect_error(406, "not_acceptable");
     let answer = ask_accepting(form("", &[("file", b"x"), ("format", b"bvh")]), "*/*").await;
     assert_eq!(answer.header("content-type"), bvh);
+}
+
+#[tokio::test]
+async fn the_route_for_files_gives_files_alone() {
+    let fake = Fake::new();
+    let app = app(&fake, &Limits::default());
+    let answer = send(&app, post("/generate/file", "seed=9", "song")).await;
+    assert_eq!(answer.status, StatusCode::OK);
+    assert_eq!(answer.header("content-type"), "application/x-bvh");
+    assert_eq!(answer.body, send(&app, raw("seed=9&format=bvh", "song")).await.body);
+    let answer = send(&app, post("/generate/file", "format=glb", "song")).await;
+    assert!(answer.body.starts_with(b"glTF"));
+    let request = post("/generate/file", "format=json", "song");
+    let said = refuse(&app, request, 400, "invalid_option").await;
+    assert!(said.contains("POST /generate gives json"), "{said}");
 }
 
 #[tokio::test]

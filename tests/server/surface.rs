@@ -75,6 +75,8 @@ async fn docs_page_and_its_assets_are_embedded() {
     let setup = get(&app, "/docs/swagger-initializer.js").await;
     let setup = String::from_utf8(setup.body).unwrap();
     assert!(setup.contains("/api-doc/openapi.json"), "{setup}");
+    // Ours: no invented values, and no page that stands still (web/e2e/docs.test.mjs).
+    assert!(setup.contains("ParameterIncludeEmpty") && setup.contains("LONGEST_SHOWN"), "{setup}");
 }
 
 #[tokio::test]

@@ -2,6 +2,7 @@
 
 use std::{
     collections::BTreeMap,
+    fmt,
     path::{Path, PathBuf},
 };
 
@@ -39,6 +40,45 @@ pub struct ImportOptions {
     pub description: Description,
 }
 
+/// A network that a checkpoint may hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Network {
+    /// Both halves of the pose VQ-VAE.
+    VqVae,
+    /// The motion GPT.
+    Gpt,
+}
+
+impl Network {
+    /// Prefix of its tensors.
+    const fn prefix(self) -> &'static str {
+        match self {
+            Self::VqVae => "vqvae_",
+            Self::Gpt => "gpt_",
+        }
+    }
+
+    const fn flag(self) -> &'static str {
+        match self {
+            Self::VqVae => "--vqvae",
+            Self::Gpt => "--gpt",
+        }
+    }
+
+    fn is_in(self, checkpoint: &TorchCheckpoint) -> bool {
+        checkpoint.names().any(|name| name.starts_with(self.prefix()))
+    }
+}
+
+impl fmt::Display for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::VqVae => "pose VQ-VAE",
+            Self::Gpt => "motion GPT",
+        })
+    }
+}
+
 /// Why checkpoints could not be imported.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -50,6 +90,14 @@ pub enum ImportError {
     Weights(#[from] WeightError),
     #[error(transparent)]
     Export(#[from] ExportError),
+    #[error("{}: this is a {found}, not a {wanted}: give it with {flag}{other}", path.display())]
+    OtherNetwork {
+        path: PathBuf,
+        found: Network,
+        wanted: Network,
+        flag: &'static str,
+        other: &'static str,
+    },
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{}: expected {expected}: {source}", path.display())]
@@ -65,9 +113,11 @@ pub enum ImportError {
 /// [`ImportError`], one line that names the file and the tensor, expected and found. Nothing is
 /// left behind then.
 pub fn import(options: &ImportOptions) -> Result<Manifest, ImportError> {
-    let vqvae = VqVaeWeights::from_checkpoint(&mut TorchCheckpoint::open(&options.vqvae)?)?;
-    let gpt =
-        GptWeights::from_checkpoint(&mut TorchCheckpoint::open(&options.gpt)?, options.heads)?;
+    let mut vqvae = TorchCheckpoint::open(&options.vqvae)?;
+    let mut gpt = TorchCheckpoint::open(&options.gpt)?;
+    check_networks(&vqvae, &gpt)?;
+    let vqvae = VqVaeWeights::from_checkpoint(&mut vqvae)?;
+    let gpt = GptWeights::from_checkpoint(&mut gpt, options.heads)?;
     let mut description = options.description.clone();
     description.start_codes = start_codes(options.start_codes.as_deref(), &gpt)?;
     if let Some(path) = &options.training {
@@ -76,6 +126,28 @@ pub fn import(options: &ImportOptions) -> Result<Manifest, ImportError> {
     }
     let (out, replace) = (&options.out, options.replace);
     Ok(write_model_directory(out, replace, &gpt, &InputRanges::default(), &vqvae, &description)?)
+}
+
+/// Refuses files that were swapped, and one that was given twice.
+fn check_networks(vqvae: &TorchCheckpoint, gpt: &TorchCheckpoint) -> Result<(), ImportError> {
+    let is_other = |file: &TorchCheckpoint, wanted: Network, found: Network| {
+        found.is_in(file) && !wanted.is_in(file)
+    };
+    let swapped = is_other(vqvae, Network::VqVae, Network::Gpt);
+    let gpt_too = is_other(gpt, Network::Gpt, Network::VqVae);
+    let other = if swapped && gpt_too { " (the two files are swapped)" } else { "" };
+    let error = |file: &TorchCheckpoint, wanted, found: Network| ImportError::OtherNetwork {
+        path: file.path().to_owned(),
+        found,
+        wanted,
+        flag: found.flag(),
+        other,
+    };
+    match (swapped, gpt_too) {
+        (true, _) => Err(error(vqvae, Network::VqVae, Network::Gpt)),
+        (false, true) => Err(error(gpt, Network::Gpt, Network::VqVae)),
+        (false, false) => Ok(()),
+    }
 }
 
 /// Reads the file's pairs; without a file the official pair where the vocabulary has it, else none.

@@ -21,6 +21,7 @@ pub mod music_gap;
 pub mod nn;
 pub mod onnx;
 pub mod training;
+pub mod trial;
 pub mod weights;
 
 pub use host_tensor::{HostTensor, ShapeMismatch};

@@ -11,6 +11,7 @@ mod common;
 mod testing;
 
 mod check_data;
+mod checkpoints;
 mod command;
 mod compare;
 mod encode;
@@ -22,6 +23,7 @@ mod kill;
 mod music_gap;
 mod networks;
 mod policy;
+mod sample;
 mod strangers;
 mod tiny_models;
 mod training;

@@ -32,9 +32,9 @@ pub enum Container {
     Flac,
     /// MPEG audio layer III, with or without ID3 tags.
     Mp3,
-    /// Ogg with Vorbis or Opus.
+    /// Ogg with Vorbis, Opus or FLAC.
     Ogg,
-    /// WebM and Matroska with Vorbis, Opus or AAC.
+    /// WebM and Matroska with Vorbis, Opus, AAC, MP3, FLAC or PCM.
     Webm,
     /// ISO base media (MP4) and QuickTime with AAC, ALAC, Opus or PCM.
     M4a,

@@ -37,6 +37,31 @@ fn block_size(file: &[u8], at: usize) -> Option<u16> {
     }
 }
 
+/// Returns the samples of a frame from its header; 0 for what is no frame.
+pub(crate) fn frame_samples(frame: &[u8]) -> u64 {
+    const HEADER: usize = 4;
+    if !is_frame(frame) {
+        return 0;
+    }
+    // After the header come its position, in as many bytes as UTF-8 would take, and odd sizes.
+    let position = frame.get(HEADER).map_or(1, |first| first.leading_ones().max(1));
+    let at = HEADER + position as usize;
+    let odd = match frame.get(2).map(|byte| byte >> 4) {
+        Some(6) => frame.get(at).map(|&size| u64::from(size) + 1),
+        Some(7) => {
+            let size = frame.get(at..).and_then(|size| size.first_chunk());
+            size.map(|size| u64::from(u16::from_be_bytes(*size)) + 1)
+        }
+        _ => block_size(frame, 0).map(u64::from),
+    };
+    odd.unwrap_or(0)
+}
+
+/// Whether a packet begins as a frame does, and not as a block of metadata.
+pub(crate) fn is_frame(packet: &[u8]) -> bool {
+    matches!(packet, [0xff, 0xf8 | 0xf9, ..])
+}
+
 /// Returns sample rate, channels and declared frames (0: unknown) of a FLAC file.
 pub(crate) fn stream_info(bytes: &[u8]) -> Option<(u32, usize, u64)> {
     const MARKER_AND_HEADER: usize = 8;
@@ -119,5 +144,26 @@ impl Gaps {
             audio.starts_with(&packet.data) || self.declared.is_none_or(|all| frames > all)
         });
         Some(if cut { Gap::CutFrom(seconds) } else { Gap::Lost(seconds) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_tells_its_samples() {
+        for (code, rest, expected) in [
+            (0x19, &[0x18, 0, 0][..], 192),
+            (0xc9, &[0x18, 0, 0][..], 4_096),
+            (0x69, &[0x18, 0, 99][..], 100),
+            (0x79, &[0x18, 0xc2, 0x80, 0x12, 0x33][..], 0x1234),
+            (0x09, &[0x18, 0, 0][..], 0),
+        ] {
+            let frame = [&[0xff, 0xf8, code][..], rest].concat();
+            assert_eq!(frame_samples(&frame), expected, "{code:x}");
+        }
+        assert_eq!(frame_samples(&[0xff, 0xf8]), 0);
+        assert_eq!(frame_samples(b"\x84\0\0\x28 comment"), 0);
     }
 }

@@ -6,7 +6,7 @@
 //! joined from several or cut short lose nothing. M4A: the edit list or iTunes' tag; it may
 //! also let the sound start late. WAV, AIFF and FLAC have none.
 
-use symphonia::core::codecs::audio::well_known::{CODEC_ID_AAC, CODEC_ID_OPUS};
+use symphonia::core::codecs::audio::well_known::{CODEC_ID_AAC, CODEC_ID_MP3, CODEC_ID_OPUS};
 
 use crate::{container::Container, mp4, packets::TrackInfo, upload::Upload};
 
@@ -35,7 +35,7 @@ impl Trim {
         match upload.container {
             Container::Mp3 => Self::of_mp3(track, "MP3"),
             Container::M4a => Self::of_m4a(upload, track, rate),
-            Container::Webm if track.parameters.codec == CODEC_ID_AAC => {
+            Container::Webm if [CODEC_ID_AAC, CODEC_ID_MP3].contains(&track.parameters.codec) => {
                 Self::of_mp3(track, "Matroska")
             }
             _ => Self::default(),

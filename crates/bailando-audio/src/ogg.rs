@@ -1,5 +1,5 @@
-//! Ogg files (RFC 3533): the packets of the first Vorbis or Opus stream. Streams of other kinds are
-//! skipped, and a page without a time stamp costs nothing: a packet's duration is read from itself.
+//! Ogg files (RFC 3533): the packets of the first Vorbis, Opus or FLAC stream. Others are skipped,
+//! and a page without a time stamp costs nothing: a packet's duration is read from itself.
 
 use std::collections::VecDeque;
 
@@ -7,7 +7,7 @@ use bytes::Bytes;
 use symphonia::core::{
     codecs::audio::{
         AudioCodecParameters,
-        well_known::{CODEC_ID_OPUS, CODEC_ID_VORBIS},
+        well_known::{CODEC_ID_FLAC, CODEC_ID_OPUS, CODEC_ID_VORBIS},
     },
     errors::Error as SymphoniaError,
     packet::{Packet, PacketBuilder},
@@ -17,6 +17,7 @@ use symphonia::core::{
 use crate::{
     container::Container,
     error::AudioError,
+    flac,
     ogg_page::{self, Page},
     opus,
     packets::{PacketReader, TrackInfo, end_of_file},
@@ -26,11 +27,19 @@ use crate::{
 /// Silence put in the place of lost pages is at most this long; a longer jump is a cut.
 const LONGEST_GAP_S: i64 = 30;
 
+/// First bytes of a FLAC stream's header packet; then come a version, the number of further header
+/// packets, and the beginning of a native file.
+const FLAC: &[u8] = b"\x7fFLAC";
+/// Bytes of that packet in front of a native file.
+const FLAC_PREFIX: usize = 9;
+
 /// The kind of a stream and what its packets' durations need.
 #[derive(Debug)]
 enum Codec {
     Vorbis(Option<Blocks>),
     Opus,
+    /// Its header packet is a native file's beginning after nine bytes.
+    Flac,
 }
 
 /// Reads the packets of one stream.
@@ -63,7 +72,12 @@ impl OggReader {
     /// Reads the headers of the first stream that can be decoded.
     pub(crate) fn open(file: &Bytes) -> Result<(Self, TrackInfo), AudioError> {
         let (serial, codec) = choose(file)?;
-        let headers_left = if matches!(codec, Codec::Opus) { 2 } else { 3 };
+        let headers_left = match codec {
+            Codec::Vorbis(_) => 3,
+            Codec::Opus => 2,
+            // How many blocks of metadata follow need not be said; they are no frames.
+            Codec::Flac => 1,
+        };
         let mut reader = Self {
             file: file.clone(),
             at: 0,
@@ -101,6 +115,10 @@ impl OggReader {
                 let hz = first.get(12..).and_then(|hz| hz.first_chunk());
                 self.hz = hz.map_or(0, |hz| u32::from_le_bytes(*hz));
             }
+            Codec::Flac => {
+                let native = first.get(FLAC_PREFIX..).unwrap_or_default();
+                self.hz = flac::stream_info(native).map_or(0, |(hz, ..)| hz);
+            }
         }
     }
 
@@ -121,6 +139,11 @@ impl OggReader {
                 let setup = headers.get(2).map(Vec::as_slice).unwrap_or_default();
                 let extra = [first, setup].concat().into_boxed_slice();
                 parameters.for_codec(CODEC_ID_VORBIS).with_extra_data(extra)
+            }
+            Codec::Flac => {
+                let info = first.get(FLAC_PREFIX + 8..FLAC_PREFIX + 42);
+                let info = info.ok_or_else(|| malformed("its FLAC header is too short"))?;
+                parameters.for_codec(CODEC_ID_FLAC).with_extra_data(info.into())
             }
         };
         parameters.with_sample_rate(self.hz);
@@ -193,6 +216,9 @@ impl OggReader {
             if self.headers_left == 0 {
                 self.begin();
             }
+        }
+        if matches!(self.codec, Codec::Flac) {
+            packets.retain(|packet| flac::is_frame(packet));
         }
         if !packets.is_empty() {
             self.queue(packets, page, jumped);
@@ -277,6 +303,7 @@ impl Codec {
             Self::Vorbis(Some(blocks)) => blocks.duration(packet),
             Self::Vorbis(None) => 0,
             Self::Opus => opus::duration(packet),
+            Self::Flac => flac::frame_samples(packet),
         }
     }
 }
@@ -293,7 +320,7 @@ fn choose(file: &[u8]) -> Result<(u32, Codec), AudioError> {
             packet if packet.starts_with(b"OpusHead") => return Ok((page.serial, Codec::Opus)),
             // Skeleton only describes the other streams.
             packet if packet.starts_with(b"fishead") => continue,
-            packet if packet.starts_with(b"\x7fFLAC") => "FLAC (send it as a native .flac file)",
+            packet if packet.starts_with(FLAC) => return Ok((page.serial, Codec::Flac)),
             packet if packet.starts_with(b"Speex") => "Speex",
             packet if packet.starts_with(b"\x80theora") => "Theora video",
             _ => "an unknown codec",

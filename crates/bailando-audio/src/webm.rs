@@ -6,9 +6,15 @@ use std::collections::VecDeque;
 
 use bytes::Bytes;
 use symphonia::core::{
+    audio::Channels,
     codecs::audio::{
-        AudioCodecParameters,
-        well_known::{CODEC_ID_AAC, CODEC_ID_OPUS, CODEC_ID_VORBIS},
+        AudioCodecId, AudioCodecParameters,
+        well_known::{
+            CODEC_ID_AAC, CODEC_ID_FLAC, CODEC_ID_MP3, CODEC_ID_OPUS, CODEC_ID_PCM_F32LE,
+            CODEC_ID_PCM_F64LE, CODEC_ID_PCM_S16BE, CODEC_ID_PCM_S16LE, CODEC_ID_PCM_S24BE,
+            CODEC_ID_PCM_S24LE, CODEC_ID_PCM_S32BE, CODEC_ID_PCM_S32LE, CODEC_ID_PCM_U8,
+            CODEC_ID_VORBIS,
+        },
     },
     errors::Error as SymphoniaError,
     packet::{Packet, PacketBuilder},
@@ -19,6 +25,8 @@ use crate::{
     container::Container,
     ebml::{self, Element},
     error::AudioError,
+    flac,
+    mpeg::Header,
     opus,
     packets::{PacketReader, TrackInfo, end_of_file},
     vorbis::Blocks,
@@ -32,10 +40,35 @@ struct Entry {
     codec: String,
     private: Vec<u8>,
     hz: f64,
+    channels: u64,
+    bits: u64,
     /// Nanoseconds of lead-in.
     delay_ns: u64,
     /// Its packets are compressed or encrypted once more.
     encoded: bool,
+}
+
+impl Entry {
+    /// Samples of lead-in.
+    fn lead_in(&self, hz: u32) -> u64 {
+        (self.delay_ns as f64 * 1e-9 * f64::from(hz)).round() as u64
+    }
+
+    /// The codec of plain samples.
+    fn pcm(&self) -> Option<AudioCodecId> {
+        Some(match (self.codec.as_str(), self.bits) {
+            ("A_PCM/INT/LIT", 8) => CODEC_ID_PCM_U8,
+            ("A_PCM/INT/LIT", 16) => CODEC_ID_PCM_S16LE,
+            ("A_PCM/INT/LIT", 24) => CODEC_ID_PCM_S24LE,
+            ("A_PCM/INT/LIT", 32) => CODEC_ID_PCM_S32LE,
+            ("A_PCM/INT/BIG", 16) => CODEC_ID_PCM_S16BE,
+            ("A_PCM/INT/BIG", 24) => CODEC_ID_PCM_S24BE,
+            ("A_PCM/INT/BIG", 32) => CODEC_ID_PCM_S32BE,
+            ("A_PCM/FLOAT/IEEE", 32) => CODEC_ID_PCM_F32LE,
+            ("A_PCM/FLOAT/IEEE", 64) => CODEC_ID_PCM_F64LE,
+            _ => return None,
+        })
+    }
 }
 
 /// How long a packet lasts, from its own bytes.
@@ -44,6 +77,10 @@ enum Codec {
     Opus,
     Vorbis(Option<Blocks>),
     Aac,
+    Mp3,
+    Flac,
+    /// Bytes of a sample of all channels.
+    Pcm(u64),
 }
 
 /// Reads the packets of one track.
@@ -81,16 +118,35 @@ impl WebmReader {
                         .and_then(|headers| Blocks::new(headers.first()?, headers.get(2)?)),
                 )
             }
-            _ => {
-                skip = (entry.delay_ns as f64 * 1e-9 * f64::from(hz)).round() as u64;
+            "A_FLAC" => {
+                parameters.for_codec(CODEC_ID_FLAC);
+                Codec::Flac
+            }
+            "A_MPEG/L3" => {
+                skip = entry.lead_in(hz);
+                parameters.for_codec(CODEC_ID_MP3);
+                Codec::Mp3
+            }
+            "A_AAC" => {
+                skip = entry.lead_in(hz);
                 parameters.for_codec(CODEC_ID_AAC);
                 Codec::Aac
             }
+            _ => {
+                parameters.for_codec(entry.pcm().unwrap_or(CODEC_ID_PCM_S16LE));
+                parameters.with_channels(Channels::Discrete(entry.channels as u16));
+                Codec::Pcm((entry.channels * entry.bits / 8).max(1))
+            }
         };
-        parameters.with_sample_rate(hz).with_extra_data(entry.private.clone().into_boxed_slice());
+        // Of FLAC's metadata the decoder wants the stream information alone.
+        let private = match codec {
+            Codec::Flac => entry.private.get(8..42).unwrap_or_default(),
+            _ => entry.private.as_slice(),
+        };
+        parameters.with_sample_rate(hz).with_extra_data(private.into());
         let mut track = TrackInfo::new(0, parameters, hz);
-        // Only AAC is trimmed after decoding: its packets do not say where the sound starts.
-        if matches!(codec, Codec::Aac) && skip > 0 {
+        // These are trimmed after decoding: their packets do not say where the sound starts.
+        if matches!(codec, Codec::Aac | Codec::Mp3) && skip > 0 {
             track.delay = u32::try_from(skip).ok();
             skip = 0;
         }
@@ -144,6 +200,9 @@ impl WebmReader {
             Codec::Opus => opus::duration(data),
             Codec::Vorbis(blocks) => blocks.as_mut().map_or(0, |blocks| blocks.duration(data)),
             Codec::Aac => 1_024,
+            Codec::Mp3 => Header::read(data).map_or(0, |header| header.samples.into()),
+            Codec::Flac => flac::frame_samples(data),
+            Codec::Pcm(bytes) => data.len() as u64 / *bytes,
         };
         let front = self.skip.min(duration);
         self.skip -= front;
@@ -194,6 +253,7 @@ impl PacketReader for WebmReader {
 /// Reads the entries of all tracks; returns them with the position of the first cluster.
 fn read_entries(file: &[u8]) -> Result<(Vec<Entry>, usize), AudioError> {
     const MOST_TRACKS: usize = 64;
+    const MOST_CHANNELS: u64 = 255;
     let (mut at, mut entries) = (0, Vec::<Entry>::new());
     while let Some(element) = Element::read(file, at) {
         if element.id == ebml::CLUSTER {
@@ -204,7 +264,7 @@ fn read_entries(file: &[u8]) -> Result<(Vec<Entry>, usize), AudioError> {
             if entries.len() == MOST_TRACKS {
                 return Err(malformed("it has more than 64 tracks"));
             }
-            entries.push(Entry { hz: 8_000.0, ..Entry::default() });
+            entries.push(Entry { hz: 8_000.0, channels: 1, ..Entry::default() });
         }
         let (Some(entry), Some(body)) = (entries.last_mut(), element.body(file)) else { continue };
         match element.id {
@@ -216,6 +276,8 @@ fn read_entries(file: &[u8]) -> Result<(Vec<Entry>, usize), AudioError> {
             }
             ebml::CODEC_PRIVATE => entry.private = body.to_vec(),
             ebml::CODEC_DELAY => entry.delay_ns = ebml::unsigned(body),
+            ebml::CHANNELS => entry.channels = ebml::unsigned(body).min(MOST_CHANNELS),
+            ebml::BIT_DEPTH => entry.bits = ebml::unsigned(body),
             ebml::SAMPLING_FREQUENCY => entry.hz = ebml::float(body),
             ebml::CONTENT_ENCODINGS => entry.encoded = true,
             _ => {}
@@ -230,7 +292,8 @@ fn choose(entries: &[Entry]) -> Result<&Entry, AudioError> {
     let readable = |entry: &&Entry| match entry.codec.as_str() {
         _ if entry.encoded => false,
         "A_OPUS" => opus::Head::read(&entry.private).is_some(),
-        codec => codec == "A_VORBIS" || codec == "A_AAC",
+        "A_VORBIS" | "A_AAC" | "A_FLAC" | "A_MPEG/L3" => true,
+        _ => entry.pcm().is_some(),
     };
     audio().find(readable).ok_or_else(|| AudioError::UnsupportedCodec {
         container: Container::Webm,

@@ -2,6 +2,7 @@
 
 mod beats;
 mod body;
+mod bvh;
 mod clips;
 mod distance;
 mod error;
@@ -28,6 +29,7 @@ mod testing;
 
 pub use beats::{BeatScore, speed};
 pub use body::{FRAMES_PER_SECOND, JOINTS, Motion, Pose, SkeletalMotion};
+pub use bvh::{BvhFile, BvhJoint, BvhPose};
 pub use clips::Clips;
 pub use distance::{Standard, diversity, frechet_distance};
 pub use error::EvaluationError;

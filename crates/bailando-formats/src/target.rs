@@ -74,7 +74,8 @@ impl TargetSkeleton {
     }
 
     /// Returns the target's name of a joint of SMPL; none for a joint that SMPL has not.
-    pub(crate) fn bone_name(self, joint: &str) -> Option<String> {
+    #[must_use]
+    pub fn bone_name(self, joint: &str) -> Option<String> {
         let names = NAMES.iter().find(|names| names[0] == joint);
         match self {
             Self::Smpl => Some(joint.to_owned()),

@@ -127,16 +127,27 @@ pub(crate) struct MotionResponse;
 
 impl IntoResponses for MotionResponse {
     fn responses() -> BTreeMap<String, RefOr<Response>> {
-        let contents = OutputFormat::ALL.map(|format| {
-            let content = match format {
-                OutputFormat::Json => reference(&MotionJson::name()),
-                OutputFormat::Bvh => text(),
-                _ => binary(),
-            };
-            (format.content_type(), content)
-        });
-        success("The motion.", HEADERS.len(), contents)
+        success("The motion.", HEADERS.len(), OutputFormat::ALL.map(content))
     }
+}
+
+/// A generated motion in a format that is no JSON.
+pub(crate) struct FileResponse;
+
+impl IntoResponses for FileResponse {
+    fn responses() -> BTreeMap<String, RefOr<Response>> {
+        let files = OutputFormat::ALL.into_iter().filter(|format| *format != OutputFormat::Json);
+        success("The motion.", HEADERS.len(), files.map(content))
+    }
+}
+
+fn content(format: OutputFormat) -> (&'static str, Content) {
+    let content = match format {
+        OutputFormat::Json => reference(&MotionJson::name()),
+        OutputFormat::Bvh => text(),
+        _ => binary(),
+    };
+    (format.content_type(), content)
 }
 
 /// The events of a generation.

@@ -16,6 +16,9 @@ use utoipa_swagger_ui::{Config, SwaggerFile, serve};
 use crate::server::{error::ServerError, layers::envelope::Held, options::shorten};
 
 const DOCUMENT: &str = "/api-doc/openapi.json";
+/// The script that starts the pages, and ours in its place.
+const START: &str = "swagger-initializer.js";
+const OUR_START: &str = include_str!("docs.js");
 
 /// The pages at `/docs`, and the document that they show.
 pub(crate) fn routes(document: &OpenApi) -> Router {
@@ -65,6 +68,10 @@ impl Pages {
         let file = file.map_err(|error| ServerError::Internal(error.to_string()))?;
         let missing = || ServerError::NotFound { path: format!("/docs/{}", shorten(name)) };
         let SwaggerFile { bytes, content_type, gzpipped, .. } = file.ok_or_else(missing)?;
+        if name == START {
+            let kind = [(header::CONTENT_TYPE, content_type)];
+            return Ok((Held::Shared, kind, OUR_START).into_response());
+        }
         let mut headers = HeaderMap::new();
         if let Ok(kind) = HeaderValue::try_from(content_type) {
             headers.insert(header::CONTENT_TYPE, kind);

@@ -18,7 +18,7 @@ use crate::{
         resources::Permit,
         response::{
             answer::Written,
-            documented::{GenerationErrors, MotionResponse},
+            documented::{FileResponse, GenerationErrors, MotionResponse},
             encoding, paced, warnings,
         },
         rig::RigAnswer,
@@ -45,19 +45,47 @@ pub(crate) async fn generate(
     State(state): State<SharedState>,
     request: Request,
 ) -> Result<Response, ServerError> {
+    answer(&state, Purpose::Dance, request).await
+}
+
+/// Generates a dance to a song, as a file.
+///
+/// The same as `POST /generate` for every format but JSON, BVH if none is named: a route of its own
+/// for clients that are made of this document, many of which know one type of a response.
+#[utoipa::path(
+    post,
+    path = "/generate/file",
+    operation_id = "generate_file",
+    tag = "dance",
+    params(RequestOptions),
+    responses(FileResponse, GenerationErrors,)
+)]
+pub(crate) async fn generate_file(
+    State(state): State<SharedState>,
+    request: Request,
+) -> Result<Response, ServerError> {
+    answer(&state, Purpose::File, request).await
+}
+
+async fn answer(
+    state: &SharedState,
+    purpose: Purpose,
+    request: Request,
+) -> Result<Response, ServerError> {
     let (parts, body) = request.into_parts();
     let body = IncomingBody::new(body);
     let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
-    let rendered = state.in_time(render(&state, parts, body)).await?;
-    Ok(rendered.respond(&state, None, under_way, || {}))
+    let rendered = state.in_time(render(state, purpose, parts, body)).await?;
+    Ok(rendered.respond(state, None, under_way, || {}))
 }
 
 async fn render(
     state: &SharedState,
+    purpose: Purpose,
     parts: axum::http::request::Parts,
     body: IncomingBody,
 ) -> Result<Rendered, ServerError> {
-    let mut order = intake::receive(state, Purpose::Dance, parts, body).await?;
+    let mut order = intake::receive(state, purpose, parts, body).await?;
     let made = async {
         let (dance, work) = work::dance_in_turn(state, &mut order, "generate").await?;
         let dance = Arc::new(dance);

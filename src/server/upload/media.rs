@@ -4,6 +4,9 @@ use axum::http::{HeaderMap, header};
 
 use crate::server::{error::ServerError, options::shorten};
 
+/// Fields of a form without files.
+const URLENCODED: &str = "application/x-www-form-urlencoded";
+
 /// How the audio is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Media {
@@ -41,11 +44,14 @@ impl Media {
         match kind {
             "multipart/form-data" => Ok(Self::Form),
             "text/html" | "application/json" => Err(ServerError::UnsupportedMedia(refusal(kind))),
+            URLENCODED => {
+                let hint = "`curl --data-binary` says so of itself: add -H 'Content-Type: \
+                            audio/mpeg', or send -F file=@song.mp3";
+                Err(ServerError::UnsupportedMedia(format!("{} ({hint})", refusal(kind))))
+            }
             _ if kind.starts_with("multipart/") || kind.ends_with("+json") => {
                 Err(ServerError::UnsupportedMedia(refusal(kind)))
             }
-            // `curl --data-binary @song.mp3` names no type of its own and sends that of a form
-            // with `application/x-www-form-urlencoded`; a real form is refused by its bytes.
             _ => Ok(Self::Raw),
         }
     }
@@ -76,14 +82,9 @@ mod tests {
         assert_eq!(Media::of(&HeaderMap::new()).ok(), Some(Media::Raw));
         let of = |value| media(header::CONTENT_TYPE, value);
         assert_eq!(of("Audio/MPEG; codecs=mp3"), Some(Media::Raw));
-        for kind in [
-            "application/x-www-form-urlencoded",
-            "video/webm;codecs=opus",
-            "application/x-flac",
-            "text/plain",
-            "image/png",
-            "whatever",
-        ] {
+        for kind in
+            ["video/webm;codecs=opus", "application/x-flac", "text/plain", "image/png", "whatever"]
+        {
             assert_eq!(of(kind), Some(Media::Raw), "{kind}");
         }
         assert_eq!(of("multipart/form-data; boundary=x"), Some(Media::Form));
@@ -91,6 +92,7 @@ mod tests {
         assert_eq!(of("application/json; charset=utf-8"), None);
         assert_eq!(of("application/problem+json"), None);
         assert_eq!(of("text/html"), None);
+        assert_eq!(of("application/x-www-form-urlencoded; charset=utf-8"), None);
         assert_eq!(media(header::CONTENT_ENCODING, "gzip"), None);
         assert_eq!(media(header::CONTENT_ENCODING, "identity"), Some(Media::Raw));
     }

@@ -2,6 +2,12 @@
 
 use std::path::PathBuf;
 
+/// What to say of a checkpoint in several files, and of one of these.
+const JOIN: &str = "load all parts into one dictionary and save it with \
+                    safetensors.torch.save_file";
+pub(super) const PART: &str = " in this part of a checkpoint in several files: load all parts into \
+                               one dictionary and save it with safetensors.torch.save_file";
+
 /// What can be wrong with a checkpoint file: always one line that names the file.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -11,8 +17,8 @@ pub enum CheckpointError {
     Read { path: PathBuf, source: std::io::Error },
     #[error("{}: {problem}", path.display())]
     Malformed { path: PathBuf, problem: Problem },
-    #[error("{}: tensor `{tensor}` is missing", path.display())]
-    MissingTensor { path: PathBuf, tensor: String },
+    #[error("{}: tensor `{tensor}` is missing{hint}", path.display())]
+    MissingTensor { path: PathBuf, tensor: String, hint: &'static str },
     #[error("{}: tensor `{tensor}` should be {expected}, but is {found:?}", path.display())]
     Shape { path: PathBuf, tensor: String, expected: String, found: Vec<usize> },
     #[error("{}: tensor `{tensor}`: {problem}", path.display())]
@@ -24,8 +30,22 @@ pub enum CheckpointError {
 #[non_exhaustive]
 #[expect(missing_docs, reason = "the messages are the documentation")]
 pub enum Problem {
-    #[error("this is neither a zip nor a legacy PyTorch checkpoint")]
+    #[error(
+        "this is no checkpoint: expected what torch.save writes (zip or the older container), or \
+         safetensors"
+    )]
     UnknownContainer,
+    #[error(
+        "this is a TorchScript archive (torch.jit.save), a program with weights inside: save the \
+         weights alone, torch.save(model.state_dict(), 'weights.pt')"
+    )]
+    TorchScript,
+    #[error("this is the index of a checkpoint in several files ({0}): {join}", join = JOIN)]
+    ShardIndex(String),
+    #[error("the safetensors file is damaged or cut off: {0}")]
+    Safetensors(String),
+    #[error("a tensor holds {0} values, expected F32, F16, BF16 or F64")]
+    Dtype(String),
     #[error("the zip archive is damaged or cut off: {0}")]
     Zip(String),
     #[error("zip entry `{0}` is compressed or encrypted, PyTorch stores its entries plainly")]

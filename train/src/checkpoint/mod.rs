@@ -1,15 +1,17 @@
 //! Official PyTorch checkpoints (ARCHITECTURE section 4), read without executing anything.
 //!
-//! Both containers are understood: the zip archive, and the older file of concatenated pickles
-//! and raw storages. Sizes that a file declares are compared with the bytes that are there before
-//! anything is allocated, and tensors are decoded one at a time when asked for. Tensors may share a
-//! storage, but all that were asked for have no more values than the file has bytes, so the memory
-//! needed is bounded by the size of the file.
+//! Three containers are understood: the zip archive, the older file of concatenated pickles and raw
+//! storages, and safetensors. Sizes that a file declares are compared with the bytes that are there
+//! before anything is allocated, and tensors are decoded one at a time when asked for. Tensors may
+//! share a storage, but all that were asked for have no more values than the file has bytes, so the
+//! memory needed is bounded by the size of the file.
 
 mod container;
 mod error;
 mod legacy;
+mod names;
 pub(crate) mod pickle;
+mod safe;
 mod view;
 mod zipped;
 
@@ -22,12 +24,9 @@ use std::{
 
 use crate::host_tensor::{HostTensor, elements};
 use container::Container;
-use pickle::{Arena, Id, Object, Pickled, TensorView};
+use pickle::TensorView;
 
-/// What distributed training puts in front of every name.
-const MODULE_PREFIX: &str = "module.";
-
-/// An opened checkpoint: its tensors by name, without the `module.` prefix.
+/// An opened checkpoint: its tensors by name, without what wrappers add (`module.`, `_orig_mod.`).
 #[derive(Debug)]
 pub struct TorchCheckpoint {
     path: PathBuf,
@@ -58,11 +57,7 @@ impl TorchCheckpoint {
     /// [`CheckpointError::Malformed`].
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, CheckpointError> {
         let length = bytes.len();
-        let opened = Container::open(bytes).and_then(|(container, pickled)| {
-            let views = tensor_views(&pickled)?;
-            Ok((container, views))
-        });
-        let (container, views) = opened
+        let (container, views) = Container::open(bytes)
             .map_err(|problem| CheckpointError::Malformed { path: path.to_owned(), problem })?;
         Ok(Self {
             path: path.to_owned(),
@@ -101,6 +96,7 @@ impl TorchCheckpoint {
             return Err(CheckpointError::MissingTensor {
                 path: self.path.clone(),
                 tensor: name.to_owned(),
+                hint: if names::is_shard(&self.path) { error::PART } else { "" },
             });
         };
         let mut allowed = || {
@@ -122,34 +118,6 @@ impl TorchCheckpoint {
             tensor: name.to_owned(),
             problem,
         })
-    }
-}
-
-/// The tensors of `{'model': state_dict, ..}`, or of a bare state dictionary.
-fn tensor_views(pickled: &Pickled) -> Result<BTreeMap<String, TensorView>, Problem> {
-    let arena = &pickled.arena;
-    let state = arena.lookup(pickled.root, "model").unwrap_or(pickled.root);
-    let entries = arena.entries(state).ok_or(Problem::NoTensors)?;
-    let mut views = BTreeMap::new();
-    for &(key, value) in entries {
-        let Some((name, view)) = named_view(arena, key, value) else {
-            continue;
-        };
-        let name = name.strip_prefix(MODULE_PREFIX).unwrap_or(name);
-        if views.insert(name.to_owned(), view.clone()).is_some() {
-            return Err(Problem::Duplicate(name.to_owned()));
-        }
-    }
-    if views.is_empty() {
-        return Err(Problem::NoTensors);
-    }
-    Ok(views)
-}
-
-fn named_view(arena: &Arena, key: Id, value: Id) -> Option<(&str, &TensorView)> {
-    match arena.get(value)? {
-        Object::Tensor(view) => Some((arena.text(key)?, view)),
-        _ => None,
     }
 }
 

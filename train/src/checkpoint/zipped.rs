@@ -23,6 +23,11 @@ impl ZipFile {
     pub(super) fn open(bytes: Vec<u8>) -> Result<(Self, Pickled), Problem> {
         let length = bytes.len() as u64;
         let archive = ZipArchive::new(Cursor::new(bytes)).map_err(zip_problem)?;
+        // `torch.jit.save` adds the program.
+        let is_program = |name: &str| name.ends_with("/constants.pkl") || name.contains("/code/");
+        if archive.file_names().filter_map(Result::ok).any(|name| is_program(&name)) {
+            return Err(Problem::TorchScript);
+        }
         let folder = archive
             .file_names()
             .filter_map(Result::ok)

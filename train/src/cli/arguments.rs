@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 
 use crate::{
     compare::CompareOptions,
-    data::check::CheckOptions,
+    data::{check::CheckOptions, convert::ConvertOptions},
     encode::EncodeOptions,
     export::{Description, PUBLISHED_HOP},
     import::ImportOptions,
@@ -72,6 +72,12 @@ pub(super) enum Command {
     /// folder; `export` adds it to the model directory, which then answers `style=auto`. `run` does
     /// the same where it is missing.
     Styles(StylesArguments),
+    /// Turn motion capture (BVH, AMASS .npz, SMPL .pkl) into a data folder
+    ///
+    /// Every motion is put on the skeleton of the models, turned upright, brought to 60 frames a
+    /// second and stood on the floor. BVH may have the joints of SMPL, Mixamo, VRM, Unreal or of
+    /// classic BVH files. A file that cannot be converted is named and left out (exit code 1).
+    Convert(ConvertOptions),
     /// Check a folder of training data before hours are spent on it.
     ///
     /// Reads every motion and every song and reports in plain words: missing files, lengths, units
@@ -245,19 +251,21 @@ pub(super) struct AdaptArguments {
 /// Turn official PyTorch checkpoints into a model directory.
 ///
 /// Reads the two checkpoints of a trained model without executing anything in them, writes the
-/// ONNX graphs and the manifest, and loads the result once to check it. The defaults are those of
-/// the officially published weights.
+/// ONNX graphs and the manifest, and tries the result on eight seconds of a plain beat. What
+/// torch.save writes (a state dictionary, or one under `model`) and safetensors are read, in
+/// float32, half, bfloat16 or float64, with or without the prefixes `module.` and `_orig_mod.`. The
+/// defaults are those of the officially published weights.
 #[derive(Args, Debug)]
 #[command(
     after_help = "Example: bailando-train import --vqvae vqvae.pt --gpt gpt.pt --out models/mine"
 )]
 pub(super) struct ImportArguments {
     /// Checkpoint of the pose VQ-VAE with the root's velocity branch
-    #[arg(long, value_name = "FILE.pt")]
+    #[arg(long, value_name = "FILE")]
     pub(super) vqvae: PathBuf,
 
     /// Checkpoint of the motion GPT
-    #[arg(long, value_name = "FILE.pt")]
+    #[arg(long, value_name = "FILE")]
     pub(super) gpt: PathBuf,
 
     /// Model directory to write

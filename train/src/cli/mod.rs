@@ -18,7 +18,10 @@ use self::arguments::{
 };
 use crate::{
     compare::compare,
-    data::check::{CheckOptions, check},
+    data::{
+        check::{CheckOptions, check},
+        convert::{ConvertOptions, convert},
+    },
     encode::{EncodeOptions, encode},
     import::{ImportOptions, import},
     music_gap::music_gap,
@@ -26,6 +29,7 @@ use crate::{
         AblationConfig, Adaptation, Limits, MotionSet, Outcome, Stage, StopFlag, adapt, export,
         export_adapted, generate_test_motions, learn_styles, run_all, target_song, train,
     },
+    trial::try_dance,
 };
 
 /// The report on a run that a limit ended.
@@ -45,7 +49,12 @@ pub fn run(
             let options = ImportOptions::from(*arguments);
             let manifest = import(&options)?;
             report(&options, &manifest, output)?;
-            Ok(())
+            let trial = try_dance(&options.out).map_err(|error| {
+                let out = options.out.display();
+                anyhow::anyhow!("{out} was written, but cannot dance: {error}")
+            })?;
+            writeln!(output, "{trial}")?;
+            Ok(try_it(&options.out, output)?)
         }
         Command::Run(arguments) => train_all(&arguments, stop, output),
         Command::VqVae(arguments) => train_stage(Stage::VqVae, &arguments, stop, output),
@@ -84,6 +93,7 @@ pub fn run(
             let report = learn_styles(&settings.read()?, &mut std::io::sink())?;
             print(&report, json, output)
         }
+        Command::Convert(options) => convert_motions(&options, output),
         Command::CheckData(arguments) => check_data(arguments, output),
     }
 }
@@ -178,6 +188,20 @@ fn try_it(model: &Path, output: &mut impl Write) -> io::Result<()> {
     writeln!(output, "try it: bailando serve --model-dir {model}")
 }
 
+fn convert_motions(options: &ConvertOptions, output: &mut impl Write) -> anyhow::Result<()> {
+    let done = convert(options)?;
+    for error in &done.refused {
+        writeln!(output, "left out: {error}")?;
+    }
+    let (out, refused) = (options.out.display(), done.refused.len());
+    if done.motions > 0 {
+        writeln!(output, "wrote {} motions to {out}, {} with songs", done.motions, done.songs)?;
+        writeln!(output, "next: bailando-train check-data {out}")?;
+    }
+    anyhow::ensure!(refused == 0, "{out}: {refused} motions were left out");
+    Ok(())
+}
+
 fn check_data(
     arguments: ReportCommand<CheckOptions>,
     output: &mut impl Write,
@@ -208,5 +232,5 @@ fn report(options: &ImportOptions, manifest: &Manifest, output: &mut impl Write)
     for (name, file) in &manifest.files {
         writeln!(output, "  {name:<13} {:>8.1} MB", file.bytes as f64 / 1e6)?;
     }
-    try_it(&options.out, output)
+    Ok(())
 }

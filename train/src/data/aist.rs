@@ -1,13 +1,13 @@
 //! AIST++: one `.pkl` motion per dance, lists of splits, songs in a folder of their own.
 
 use std::{
-    collections::HashSet,
+    collections::{BTreeSet, HashSet},
     path::{Path, PathBuf},
 };
 
 use super::{
-    DataError, Dataset, Layout, MotionSource, MusicSource, Split, files, folder::ROOT_HEIGHT,
-    json::bare_piece, songs::Songs,
+    DataError, Dataset, Layout, MotionSource, MusicSource, Split, dataset::Absent, files,
+    folder::ROOT_HEIGHT, json::bare_piece, songs::Songs,
 };
 use crate::export::skeleton;
 
@@ -55,6 +55,12 @@ pub(super) fn read(
         let music = songs.of(&id).cloned().map(MusicSource::Audio);
         pieces.push(bare_piece(id, split, MotionSource::Pickle(path.clone()), music));
     }
+    let there: HashSet<String> = motions.iter().map(|path| files::stem(path)).collect();
+    let absent = [(Split::Train, &train), (Split::Test, &test)].map(|(split, named)| {
+        let named: BTreeSet<&String> = named.difference(&ignored).collect();
+        let ids = named.iter().filter(|id| !there.contains(**id)).map(|id| (*id).clone());
+        Absent { split, named: named.len(), ids: ids.collect() }
+    });
     let mut notes = Vec::new();
     if !listed {
         notes.push(
@@ -75,6 +81,7 @@ pub(super) fn read(
         skeleton: skeleton(ROOT_HEIGHT),
         pieces,
         defects: Vec::new(),
+        absent: absent.into_iter().filter(|absent| !absent.ids.is_empty()).collect(),
         notes,
     })
 }

@@ -137,6 +137,15 @@ pub struct Defect {
     pub what: String,
 }
 
+/// Dances that lists of a split name and a folder lacks.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Absent {
+    pub(super) split: Split,
+    /// How many the lists name.
+    pub(super) named: usize,
+    pub(super) ids: Vec<String>,
+}
+
 /// Facts that a folder does not hold.
 #[derive(Args, Clone, Debug, Default)]
 pub struct OpenOptions {
@@ -153,6 +162,7 @@ pub struct Dataset {
     pub(super) skeleton: Skeleton,
     pub(super) pieces: Vec<Piece>,
     pub(super) defects: Vec<Defect>,
+    pub(super) absent: Vec<Absent>,
     /// Remarks of the reader, for `check-data`.
     pub(super) notes: Vec<String>,
 }

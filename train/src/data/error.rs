@@ -29,6 +29,8 @@ pub enum DataError {
     Entry { path: PathBuf, piece: String, what: String },
     #[error("{}: {what}", path.display())]
     Shape { path: PathBuf, what: String },
+    #[error("{}: frame {frame} holds a value that is no number", path.display())]
+    NotFinite { path: PathBuf, frame: usize },
     #[error("{}: {problem}", path.display())]
     Pickle { path: PathBuf, problem: Problem },
     #[error("{}: {source}", path.display())]
@@ -53,6 +55,14 @@ pub enum DataError {
         other.display()
     )]
     Skeleton { first: PathBuf, other: PathBuf, what: String },
+    #[error("{}: a data folder is there already: choose another --out", .0.display())]
+    Exists(PathBuf),
+    #[error("{}: no motion here: expected .bvh, .npz or .pkl files", .0.display())]
+    NoMotion(PathBuf),
+    #[error("{}: {} has the same name", path.display(), other.display())]
+    SameName { path: PathBuf, other: PathBuf },
+    #[error("--test {0}: no motion of this name is converted")]
+    NoSuchTest(String),
     #[error("no data folder is named: give --data or data.folder")]
     NoFolder,
     #[error("feature cache {}: {source}; choose another folder with --cache", path.display())]

@@ -71,6 +71,7 @@ pub(super) fn read(root: &Path) -> Result<Dataset, DataError> {
         skeleton: skeleton(ROOT_HEIGHT),
         pieces: Vec::new(),
         defects: Vec::new(),
+        absent: Vec::new(),
         notes: Vec::new(),
     };
     match index_skeleton(&index) {

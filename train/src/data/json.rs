@@ -98,6 +98,7 @@ pub(super) fn read(
         skeleton: skeleton(ROOT_HEIGHT),
         pieces,
         defects: Vec::new(),
+        absent: Vec::new(),
         notes: notes.into_iter().collect(),
     })
 }

@@ -3,12 +3,15 @@
 //!
 //! [`Dataset::open`] → [`Dataset::training`] (or [`Dataset::evaluation`]) → [`Portion`]:
 //! [`CropPlan::round`] draws crops, [`Recording::motion`] and [`MusicLibrary`] fill them.
-//! [`check`] says in plain words what is wrong with a folder.
+//! [`mod@check`] says in plain words what is wrong with a folder, [`convert`] makes one of motion
+//! capture.
 
 mod aist;
 mod augment;
+mod body;
 mod cache;
 pub mod check;
+pub mod convert;
 mod crops;
 mod dataset;
 mod error;
@@ -24,6 +27,7 @@ mod open;
 mod portion;
 mod quantise;
 mod several;
+mod skeletons;
 mod smpl;
 mod songs;
 #[cfg(test)]

@@ -5,19 +5,46 @@ use std::path::Path;
 
 use bailando::motion::Positions;
 
-use super::{DataError, JOINTS, files};
+use super::{DataError, JOINTS, files, skeletons};
 
-/// Reads `[T, 24, 3]` (or `[T, 72]`) of little-endian float32 or float64.
+/// An array of numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct NpyArray {
+    pub(super) shape: Vec<usize>,
+    /// In C order.
+    pub(super) values: Vec<f32>,
+}
+
+/// Reads `[T, 24, 3]` (or `[T, 72]`), or SMPL-H's `[T, 52, 3]` (or `[T, 156]`), of little-endian
+/// float32 or float64.
 pub(super) fn positions(path: &Path) -> Result<Positions, DataError> {
     let bytes = files::read(path)?;
     parse(&bytes).map_err(|what| DataError::Shape { path: path.to_owned(), what })
 }
 
 fn parse(bytes: &[u8]) -> Result<Positions, String> {
+    let array = array(bytes, false)?;
+    let layout = skeletons::layout(&array.shape);
+    let places = layout.and_then(|(_, joints)| skeletons::smpl_joints(joints));
+    let (Some((frames, joints)), Some(places)) = (layout, places) else {
+        let expected = "[frames, 24, 3] of SMPL, or [frames, 52, 3] of SMPL-H";
+        return Err(skeletons::refusal("shape", &array.shape, expected));
+    };
+    let frames_of = array.values.chunks_exact(3 * joints);
+    let points = frames_of.flat_map(|pose| places.map(|place| pose.get(3 * place..3 * place + 3)));
+    let values = points.flatten().flatten().copied().collect();
+    Positions::from_shape_vec((frames, JOINTS, 3), values).map_err(|error| error.to_string())
+}
+
+/// Reads an array of little-endian float32 or float64 of any shape; on request of int32 and int64
+/// too.
+pub(super) fn array(bytes: &[u8], integers: bool) -> Result<NpyArray, String> {
     let (header, values) = split(bytes).ok_or("this is no whole .npy file")?;
-    let wide = match field(header, "descr") {
-        Some("'<f4'") => false,
-        Some("'<f8'") => true,
+    let (width, number): (usize, fn(&[u8]) -> f32) = match field(header, "descr") {
+        Some("'<f4'") => (4, |raw| value(raw, f32::from_le_bytes)),
+        Some("'<f8'") => (8, |raw| value(raw, |raw| f64::from_le_bytes(raw) as f32)),
+        Some("'<i4'") if integers => (4, |raw| value(raw, |raw| i32::from_le_bytes(raw) as f32)),
+        Some("'<i8'") if integers => (8, |raw| value(raw, |raw| i64::from_le_bytes(raw) as f32)),
         other => {
             return Err(format!(
                 "holds {} values, expected '<f4' (float32)",
@@ -29,30 +56,20 @@ fn parse(bytes: &[u8]) -> Result<Positions, String> {
         return Err("is stored column by column; save it with numpy.ascontiguousarray".into());
     }
     let shape = shape(header).ok_or("its header names no shape")?;
-    let frames = match *shape.as_slice() {
-        [frames, JOINTS, 3] => frames,
-        [frames, columns] if columns == 3 * JOINTS => frames,
-        _ => return Err(format!("shape {shape:?}, expected [frames, {JOINTS}, 3]")),
-    };
-    let width = if wide { 8 } else { 4 };
-    let expected = frames.checked_mul(3 * JOINTS * width);
-    if expected != Some(values.len()) {
+    let declared = shape.iter().try_fold(width, |bytes: usize, &size| bytes.checked_mul(size));
+    if declared != Some(values.len()) {
         return Err(format!(
-            "{frames} frames are declared, but {} bytes of values are there: the file is damaged \
-             or cut off",
+            "the shape {shape:?} is declared, but {} bytes of values are there: the file is \
+             damaged or cut off",
             values.len()
         ));
     }
-    let values = if wide {
-        chunks::<8>(values).map(|chunk| f64::from_le_bytes(chunk) as f32).collect()
-    } else {
-        chunks::<4>(values).map(f32::from_le_bytes).collect()
-    };
-    Positions::from_shape_vec((frames, JOINTS, 3), values).map_err(|error| error.to_string())
+    Ok(NpyArray { shape, values: values.chunks_exact(width).map(number).collect() })
 }
 
-fn chunks<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
-    bytes.chunks_exact(N).filter_map(|chunk| chunk.try_into().ok())
+/// A number of as many bytes; NaN where there are others.
+fn value<const N: usize>(raw: &[u8], number: impl Fn([u8; N]) -> f32) -> f32 {
+    raw.try_into().map_or(f32::NAN, number)
 }
 
 /// Header text and values.
@@ -104,12 +121,29 @@ mod tests {
     }
 
     #[test]
+    fn the_body_of_smpl_h_is_taken() {
+        let values: Vec<u8> = (0..312).flat_map(|i| (i as f32).to_le_bytes()).collect();
+        for shape in ["(2, 52, 3)", "(2, 156)"] {
+            let read = parse(&file("<f4", shape, &values)).unwrap();
+            assert_eq!(read.dim(), (2, 24, 3));
+            assert_eq!(read[[1, 21, 2]], 156.0 + 3.0 * 21.0 + 2.0);
+            // Hands are where the middle fingers begin.
+            assert_eq!([read[[0, 22, 0]], read[[0, 23, 0]]], [75.0, 120.0]);
+        }
+    }
+
+    #[test]
     fn what_does_not_fit_is_named() {
         let values = [0; 288];
         for (bytes, expected) in [
             (file("<f4", "(2, 24, 3)", &values), "cut off"),
             (file("<f4", "(99999999999, 24, 3)", &values), "cut off"),
-            (file("<f4", "(1, 22, 3)", &values), "[1, 22, 3]"),
+            (file("<f4", "(1, 24, 3)", &values[..287]), "[1, 24, 3]"),
+            (file("<f4", "(1, 22, 3)", &values[..264]), "22 joints are those of SMPL's body"),
+            (file("<f4", "(1, 17, 3)", &values[..204]), "17 joints are those of COCO"),
+            (file("<f4", "(1, 51)", &values[..204]), "17 joints are those of COCO"),
+            (file("<f4", "(1, 165)", &[0; 660]), "55 joints are those of SMPL-X"),
+            (file("<f4", "(8, 9)", &values), "[frames, 24, 3] of SMPL"),
             (file("<i8", "(1, 24, 3)", &values), "'<i8'"),
             (b"\x93NUMPY\x01\x00\xff\xff".to_vec(), "no whole .npy"),
             (Vec::new(), "no whole .npy"),

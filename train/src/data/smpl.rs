@@ -4,10 +4,15 @@
 use std::path::Path;
 
 use bailando::motion::{Animation, Positions, Skeleton, forward};
-use glam::{Quat, Vec3};
 
-use super::{DataError, FPS, JOINTS, files};
-use crate::checkpoint::pickle::{NumpyArray, Object, Pickled, interpret_arrays};
+use super::{DataError, body::BodyPoses, files};
+use crate::checkpoint::pickle::{Object, Pickled, interpret_arrays};
+
+/// Keys of AIST++, then of other writers.
+const POSES: [&str; 3] = ["smpl_poses", "poses", "pose"];
+const PATHS: [&str; 3] = ["smpl_trans", "trans", "transl"];
+const SCALINGS: [&str; 2] = ["smpl_scaling", "scaling"];
+const RATES: [&str; 4] = ["mocap_framerate", "mocap_frame_rate", "fps", "frame_rate"];
 
 /// An hour of motion in float64 has 130 MB; the longest motion of AIST++ has 2 MB.
 const MAX_BYTES: u64 = 128 << 20;
@@ -19,75 +24,70 @@ pub(super) fn positions(path: &Path, skeleton: &Skeleton) -> Result<Positions, D
 
 /// `path` is what errors call the pickle.
 fn from_bytes(path: &Path, bytes: &[u8], skeleton: &Skeleton) -> Result<Positions, DataError> {
-    let pickled = interpret_arrays(bytes)
-        .map_err(|problem| DataError::Pickle { path: path.to_owned(), problem })?;
-    let animation =
-        animation(&pickled).map_err(|what| DataError::Shape { path: path.to_owned(), what })?;
+    let (animation, _) = parse(path, bytes)?;
     forward(skeleton, &animation)
         .map_err(|source| DataError::Motion { path: path.to_owned(), source })
 }
 
-fn animation(pickled: &Pickled) -> Result<Animation, String> {
-    let poses = array(pickled, "smpl_poses")?;
-    let trans = array(pickled, "smpl_trans")?;
-    let (frames, columns) = match *poses.shape.as_slice() {
-        [frames, JOINTS, 3] => (frames, 3 * JOINTS),
-        [frames, columns] => (frames, columns),
-        _ => (0, 0),
-    };
-    if columns != 3 * JOINTS || trans.shape != [frames, 3] {
-        return Err(format!(
-            "smpl_poses has shape {:?} and smpl_trans {:?}, expected [frames, 72] and [frames, 3]",
-            poses.shape, trans.shape
-        ));
-    }
-    let scale = scaling(pickled)?;
-    let vectors = |array: &NumpyArray| -> Result<Vec<Vec3>, String> {
-        let values = array.values()?;
-        let vectors = values.chunks_exact(3).filter_map(|chunk| match chunk {
-            &[x, y, z] => Some(Vec3::new(x as f32, y as f32, z as f32)),
-            _ => None,
-        });
-        Ok(vectors.collect())
-    };
-    let turns = vectors(&poses)?;
-    Ok(Animation {
-        fps: FPS as u32,
-        root: vectors(&trans)?.iter().map(|&root| root / scale).collect(),
-        rotations: turns
-            .chunks_exact(JOINTS)
-            .map(|pose| pose.iter().map(|&turn| Quat::from_scaled_axis(turn)).collect())
-            .collect(),
-    })
+/// Reads the rotations of a pickle, and its frames a second, where it says them.
+pub(super) fn rotations(path: &Path) -> Result<(Animation, Option<f64>), DataError> {
+    parse(path, &files::read_at_most(path, MAX_BYTES)?)
 }
 
-/// `smpl_scaling`: an array of one value, or a number.
-fn scaling(pickled: &Pickled) -> Result<f32, String> {
-    let arena = &pickled.arena;
-    let found = arena.lookup(pickled.root, "smpl_scaling");
-    let value = match found.and_then(|id| arena.get(id)) {
-        Some(Object::Float(value)) => *value,
-        Some(Object::Int(value)) => *value as f64,
-        Some(Object::Array(array)) => match array.values()?.as_slice() {
-            &[value] => value,
-            _ => {
-                return Err(format!("smpl_scaling has shape {:?}, expected [1]", array.shape));
+fn parse(path: &Path, bytes: &[u8]) -> Result<(Animation, Option<f64>), DataError> {
+    let pickled = interpret_arrays(bytes)
+        .map_err(|problem| DataError::Pickle { path: path.to_owned(), problem })?;
+    let file = File(&pickled);
+    let read = || -> Result<_, String> {
+        let body = BodyPoses {
+            poses: file.array(&POSES)?,
+            path: file.array(&PATHS)?,
+            scaling: file.number(&SCALINGS)?.map(|value| value as f32),
+        };
+        Ok((body.animation()?, file.number(&RATES)?))
+    };
+    read().map_err(|what| DataError::Shape { path: path.to_owned(), what })
+}
+
+/// A pickled dictionary, whose keys depend on who wrote it.
+struct File<'a>(&'a Pickled);
+
+impl File<'_> {
+    fn get(&self, keys: &[&str]) -> Option<(&Object, String)> {
+        let arena = &self.0.arena;
+        keys.iter().find_map(|key| {
+            let object = arena.get(arena.lookup(self.0.root, key)?)?;
+            Some((object, (*key).to_owned()))
+        })
+    }
+
+    fn array(&self, keys: &[&str]) -> Result<(Vec<usize>, Vec<f32>), String> {
+        match self.get(keys) {
+            Some((Object::Array(array), _)) => {
+                let values = array.values()?.into_iter().map(|value| value as f32);
+                Ok((array.shape.clone(), values.collect()))
             }
-        },
-        _ => return Err("smpl_scaling is missing".into()),
-    };
-    if value.is_finite() && value > 0.0 {
-        Ok(value as f32)
-    } else {
-        Err(format!("smpl_scaling is {value}, expected a number above 0"))
+            _ if self.get(&["keypoints3d", "keypoints3d_optim"]).is_some() => {
+                Err("it holds keypoints3d, joints of COCO: this is AIST++'s folder keypoints3d, \
+                     motions are in its folder motions"
+                    .into())
+            }
+            _ => Err(format!("there is no array `{}` in it", keys.join("` or `"))),
+        }
     }
-}
 
-fn array(pickled: &Pickled, key: &str) -> Result<NumpyArray, String> {
-    let arena = &pickled.arena;
-    match arena.lookup(pickled.root, key).and_then(|id| arena.get(id)) {
-        Some(Object::Array(array)) => Ok((**array).clone()),
-        _ => Err(format!("there is no array `{key}` in it")),
+    /// A number, or an array of one.
+    fn number(&self, keys: &[&str]) -> Result<Option<f64>, String> {
+        match self.get(keys) {
+            None => Ok(None),
+            Some((Object::Float(value), _)) => Ok(Some(*value)),
+            Some((Object::Int(value), _)) => Ok(Some(*value as f64)),
+            Some((Object::Array(array), key)) => match array.values()?.as_slice() {
+                &[value] => Ok(Some(value)),
+                _ => Err(format!("{key} has shape {:?}, expected [1]", array.shape)),
+            },
+            Some((_, key)) => Err(format!("{key} is no number")),
+        }
     }
 }
 

@@ -8,7 +8,8 @@ use std::{
 use super::{DataError, files};
 
 /// What `bailando::audio` decodes.
-const AUDIO: [&str; 8] = ["wav", "mp3", "ogg", "oga", "flac", "m4a", "mp4", "aac"];
+const AUDIO: [&str; 13] =
+    ["wav", "mp3", "ogg", "oga", "opus", "flac", "m4a", "mp4", "aac", "webm", "aif", "aiff", "mov"];
 /// Folders beside motions that usually hold the songs.
 const USUAL: [&str; 8] = ["audio", "music", "musics", "all_musics", "wav", "wavs", "mp3", "songs"];
 
@@ -23,18 +24,23 @@ impl Songs {
     pub(super) fn audio(root: &Path, folder: Option<&Path>) -> Result<Self, DataError> {
         let mut songs = Self::default();
         match folder {
-            Some(folder) => songs.add(folder, &AUDIO)?,
+            Some(folder) => songs.add_audio(folder)?,
             None => {
-                songs.add(root, &AUDIO)?;
+                songs.add_audio(root)?;
                 for name in USUAL {
                     let folder = root.join(name);
                     if folder.is_dir() {
-                        songs.add(&folder, &AUDIO)?;
+                        songs.add_audio(&folder)?;
                     }
                 }
             }
         }
         Ok(songs)
+    }
+
+    /// Takes in the audio of `folder`.
+    pub(super) fn add_audio(&mut self, folder: &Path) -> Result<(), DataError> {
+        self.add(folder, &AUDIO)
     }
 
     /// Takes in the files of `folder` that end so; names that are known already stay.

@@ -49,6 +49,18 @@ fn a_test_motion_among_the_training_pieces_stops_training() {
 }
 
 #[test]
+fn a_value_that_is_no_number_stops_training_with_file_and_frame() {
+    let folder = good();
+    let mut positions = dance(&skeleton(0.93), FRAMES, 0);
+    positions[[17, 3, 1]] = f32::NAN;
+    folder.motion("one.npy", &positions);
+    let data = open(folder.write()).unwrap();
+    let training = data.training().unwrap();
+    let refused = training.recordings()[0].motion(&data.skeleton).unwrap_err().to_string();
+    assert!(refused.ends_with("one.npy: frame 17 holds a value that is no number"), "{refused}");
+}
+
+#[test]
 fn one_file_in_both_splits_stops_training_as_well() {
     let mut folder = good();
     folder.set("three_a", "motion", json!("one.npy"));

@@ -538,6 +538,18 @@ mod opus {
     }
 
     #[test]
+    fn flac_mp3_and_plain_samples_in_other_containers_are_decoded() {
+        for (name, rate, channels) in
+            [("flac.ogg", 16_000, 2), ("flac.mka", 16_000, 2), ("pcm.mka", 8_000, 1)]
+        {
+            let song = clean(case(name));
+            assert_eq!((song.sample_rate, song.channels), (rate, channels), "{name}");
+            assert!((song.duration_s - TONE_S).abs() < 1e-3, "{name}: {}", song.duration_s);
+        }
+        clean(case("mp3.mka"));
+    }
+
+    #[test]
     fn a_recording_that_broke_off_is_used_with_a_warning() {
         for name in ["music.opus", "opus.webm"] {
             let file = case(name);

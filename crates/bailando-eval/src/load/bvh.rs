@@ -1,71 +1,64 @@
-//! BVH: hierarchy and channels to local rotations, and joint positions by forward kinematics.
+//! Our BVH: joint positions and local rotations of the 24 joints.
 //!
 //! Joints are found by their names, so that files of other programs with the same skeleton work in
 //! any order of joints and channels. The root's place is that of its position channels, as its
 //! OFFSET is zero in our files.
 
-use std::str::SplitWhitespace;
-
-use glam::{DQuat, DVec3};
 use ndarray::Array3;
 
-use crate::body::{
-    JOINT_NAMES, JOINTS, SkeletalMotion, check_rate,
-    joint::{L_ANKLE, L_KNEE},
+use crate::{
+    body::{
+        JOINT_NAMES, JOINTS, SkeletalMotion, check_rate,
+        joint::{L_ANKLE, L_KNEE},
+    },
+    bvh::{BvhFile, BvhJoint, Channel},
 };
 
 /// A longer leg is measured in centimetres, not in metres.
 const LONGEST_LEG: f64 = 5.0;
 const METRES_PER_CENTIMETRE: f64 = 0.01;
 
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Channel {
-    Position(usize),
-    Rotation(DVec3),
-}
-
-#[derive(Debug)]
-struct Joint {
-    name: String,
-    parent: Option<usize>,
-    offset: DVec3,
-    channels: Vec<Channel>,
-}
-
 /// Returns positions `[frames, 24, 3]` in metres, SMPL order, and the rotations behind them.
 pub(super) fn read(text: &str) -> Result<(Array3<f32>, SkeletalMotion), String> {
-    let mut words = text.split_whitespace();
-    let joints = hierarchy(&mut words)?;
-    let order = smpl_order(&joints)?;
-    let scale = metres(&joints, &order);
-    let frames: usize = labelled(&mut words, &["Frames:"])?;
-    let frame_time: f64 = labelled(&mut words, &["Frame", "Time:"])?;
-    check_rate(1.0 / frame_time)?;
-    let values: Vec<f64> = words.map(number).collect::<Result<_, _>>()?;
-    let channels = joints.iter().map(|joint| joint.channels.len()).sum();
-    if channels == 0 || frames.checked_mul(channels) != Some(values.len()) {
-        let found = values.len();
-        return Err(format!("{found} numbers are not {frames} frames of {channels} channels"));
-    }
+    let file = BvhFile::parse(text)?;
+    check_channels(&file.joints)?;
+    check_rate(file.frames_per_second)?;
+    let order = smpl_order(&file.joints)?;
+    let scale = metres(&file.joints, &order);
+    let frames = file.frames();
     let mut positions = Array3::zeros((frames, JOINTS, 3));
-    let mut skeletal = skeleton(&joints, &order, scale);
-    for (frame, values) in values.chunks_exact(channels).enumerate() {
-        let Pose { places, local } = pose(&joints, values);
+    let mut skeletal = skeleton(&file.joints, &order, scale);
+    for frame in 0..frames {
+        let pose = file.pose(frame);
         for (joint, &at) in order.iter().enumerate() {
-            for (axis, value) in (places[at] * scale).to_array().into_iter().enumerate() {
+            for (axis, value) in (pose.places[at] * scale).to_array().into_iter().enumerate() {
                 positions[(frame, joint, axis)] = value as f32;
             }
         }
-        skeletal.root.push(places[order[0]] * scale);
-        skeletal.local.push(std::array::from_fn(|joint| local[order[joint]]));
+        skeletal.root.push(pose.places[order[0]] * scale);
+        skeletal.local.push(std::array::from_fn(|joint| pose.local[order[joint]]));
     }
-    skeletal.channel_jump = largest_jump(&joints, &values, channels);
+    skeletal.channel_jump = largest_jump(&file);
     Ok((positions, skeletal))
+}
+
+/// Our files move the root alone; other joints that move would change the bones.
+fn check_channels(joints: &[BvhJoint]) -> Result<(), String> {
+    let moves = |joint: &&BvhJoint| {
+        let mut channels = joint.channels.iter();
+        joint.parent.is_some() && channels.any(|c| matches!(c, Channel::Position(_)))
+    };
+    match joints.iter().find(moves) {
+        Some(BvhJoint { name, .. }) => {
+            Err(format!("joint {name} has position channels: only the root may"))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Returns the rest skeleton, without frames. A joint whose parent is none of the 24 hangs on the
 /// root.
-fn skeleton(joints: &[Joint], order: &[usize], scale: f64) -> SkeletalMotion {
+fn skeleton(joints: &[BvhJoint], order: &[usize], scale: f64) -> SkeletalMotion {
     let parent = |joint: usize| {
         let parent = joints[order[joint]].parent?;
         order.iter().position(|&at| at == parent)
@@ -80,83 +73,17 @@ fn skeleton(joints: &[Joint], order: &[usize], scale: f64) -> SkeletalMotion {
 }
 
 /// Returns the largest change of a rotation channel from one frame to the next, degrees.
-fn largest_jump(joints: &[Joint], values: &[f64], channels: usize) -> f64 {
+fn largest_jump(file: &BvhFile) -> f64 {
+    let BvhFile { joints, values, channels, .. } = file;
     let all = joints.iter().flat_map(|joint| &joint.channels);
     let rotates: Vec<bool> = all.map(|channel| matches!(channel, Channel::Rotation(_))).collect();
-    let pairs = values.iter().zip(values.iter().skip(channels));
+    let pairs = values.iter().zip(values.iter().skip(*channels));
     let jumps = pairs.zip(rotates.iter().cycle()).filter(|(_, rotates)| **rotates);
     jumps.map(|((before, now), _)| (now - before).abs()).fold(0.0, f64::max)
 }
 
-/// Reads the joints up to the word MOTION; a parent comes before its children.
-fn hierarchy(words: &mut SplitWhitespace<'_>) -> Result<Vec<Joint>, String> {
-    expect(words, "HIERARCHY")?;
-    let mut joints: Vec<Joint> = Vec::new();
-    // The joints whose brackets are open; none: an end site.
-    let mut open: Vec<Option<usize>> = Vec::new();
-    loop {
-        match word(words)? {
-            "ROOT" | "JOINT" => {
-                joints.push(Joint {
-                    name: word(words)?.to_owned(),
-                    parent: open.last().copied().flatten(),
-                    offset: DVec3::ZERO,
-                    channels: Vec::new(),
-                });
-                expect(words, "{")?;
-                open.push(Some(joints.len() - 1));
-            }
-            "End" => {
-                expect(words, "Site")?;
-                expect(words, "{")?;
-                open.push(None);
-            }
-            "OFFSET" => {
-                let offset = vector(words)?;
-                if let Some(joint) = current(&open, &mut joints) {
-                    joint.offset = offset;
-                }
-            }
-            "CHANNELS" => {
-                let channels = channels(words)?;
-                let joint = current(&open, &mut joints).ok_or("channels without a joint")?;
-                let moves = channels.iter().any(|c| matches!(c, Channel::Position(_)));
-                if moves && joint.parent.is_some() {
-                    let name = &joint.name;
-                    return Err(format!("joint {name} has position channels: only the root may"));
-                }
-                joint.channels = channels;
-            }
-            "}" => {
-                open.pop().ok_or("a bracket closes nothing")?;
-            }
-            "MOTION" => return Ok(joints),
-            other => return Err(format!("the hierarchy holds {other:?}")),
-        }
-    }
-}
-
-fn current<'a>(open: &[Option<usize>], joints: &'a mut [Joint]) -> Option<&'a mut Joint> {
-    joints.get_mut(open.last().copied().flatten()?)
-}
-
-fn channels(words: &mut SplitWhitespace<'_>) -> Result<Vec<Channel>, String> {
-    let count = number(word(words)?)? as usize;
-    (0..count.min(6))
-        .map(|_| match word(words)? {
-            "Xposition" => Ok(Channel::Position(0)),
-            "Yposition" => Ok(Channel::Position(1)),
-            "Zposition" => Ok(Channel::Position(2)),
-            "Xrotation" => Ok(Channel::Rotation(DVec3::X)),
-            "Yrotation" => Ok(Channel::Rotation(DVec3::Y)),
-            "Zrotation" => Ok(Channel::Rotation(DVec3::Z)),
-            other => Err(format!("there is no channel {other:?}")),
-        })
-        .collect()
-}
-
 /// Returns the place of each SMPL joint in the file.
-fn smpl_order(joints: &[Joint]) -> Result<Vec<usize>, String> {
+fn smpl_order(joints: &[BvhJoint]) -> Result<Vec<usize>, String> {
     let find = |name: &str| {
         let place = joints.iter().rposition(|joint| joint.name == name);
         place.ok_or(format!("it has no joint {name}"))
@@ -165,7 +92,7 @@ fn smpl_order(joints: &[Joint]) -> Result<Vec<usize>, String> {
 }
 
 /// Metres per unit. The format does not name one, but no leg is 5 m long.
-fn metres(joints: &[Joint], order: &[usize]) -> f64 {
+fn metres(joints: &[BvhJoint], order: &[usize]) -> f64 {
     let leg = [L_KNEE, L_ANKLE].map(|joint| joints[order[joint]].offset.length());
     match leg.iter().sum::<f64>() > LONGEST_LEG {
         true => METRES_PER_CENTIMETRE,
@@ -173,77 +100,11 @@ fn metres(joints: &[Joint], order: &[usize]) -> f64 {
     }
 }
 
-/// Places and local rotations of all joints of the file.
-struct Pose {
-    places: Vec<DVec3>,
-    local: Vec<DQuat>,
-}
-
-/// Computes the pose of one line of channels.
-fn pose(joints: &[Joint], values: &[f64]) -> Pose {
-    let mut values = values.iter().copied();
-    let mut places = Vec::with_capacity(joints.len());
-    let mut rotations = Vec::with_capacity(joints.len());
-    let mut turned: Vec<DQuat> = Vec::with_capacity(joints.len());
-    for joint in joints {
-        let mut shift = DVec3::ZERO;
-        let mut local = DQuat::IDENTITY;
-        for (channel, value) in joint.channels.iter().zip(&mut values) {
-            match *channel {
-                Channel::Position(axis) => shift[axis] += value,
-                Channel::Rotation(axis) => {
-                    local *= DQuat::from_axis_angle(axis, value.to_radians())
-                }
-            }
-        }
-        let (place, turn) = match joint.parent {
-            None => (shift, local),
-            Some(parent) => {
-                (places[parent] + turned[parent] * joint.offset, turned[parent] * local)
-            }
-        };
-        places.push(place);
-        turned.push(turn);
-        rotations.push(local);
-    }
-    Pose { places, local: rotations }
-}
-
-fn word<'a>(words: &mut SplitWhitespace<'a>) -> Result<&'a str, String> {
-    words.next().ok_or_else(|| "the file ends too early".into())
-}
-
-fn expect(words: &mut SplitWhitespace<'_>, wanted: &str) -> Result<(), String> {
-    match word(words)? {
-        found if found == wanted => Ok(()),
-        found => Err(format!("expected {wanted}, got {found:?}")),
-    }
-}
-
-fn number(word: &str) -> Result<f64, String> {
-    word.parse().map_err(|_| format!("{word:?} is no number"))
-}
-
-fn vector(words: &mut SplitWhitespace<'_>) -> Result<DVec3, String> {
-    let mut next = || number(word(words)?);
-    Ok(DVec3::new(next()?, next()?, next()?))
-}
-
-fn labelled<T: std::str::FromStr>(
-    words: &mut SplitWhitespace<'_>,
-    label: &[&str],
-) -> Result<T, String> {
-    for part in label {
-        expect(words, part)?;
-    }
-    let value = word(words)?;
-    let parsed = value.parse();
-    parsed.map_err(|_| format!("{} {value:?} is no number", label.join(" ")))
-}
-
 #[cfg(test)]
 mod tests {
     use std::fmt::Write;
+
+    use glam::{DQuat, DVec3};
 
     use super::*;
 

@@ -17,6 +17,9 @@ use crate::{
     files::{entries, stem, text},
 };
 
+/// Ending of files of pose codes.
+const CODES: &str = ".codes.npy";
+
 /// How a motion is stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -59,15 +62,17 @@ pub fn load_motion(path: &Path) -> Result<Motion, EvaluationError> {
     motion.map_err(|problem| EvaluationError::file(path, problem))
 }
 
-/// Lists the motion files of a folder, by name; `index.json` is none.
+/// Lists the motion files of a folder, by name; `index.json` is none, nor are the codes that
+/// `bailando-train encode` writes beside its motions.
 ///
 /// # Errors
 /// [`EvaluationError`] if the folder can't be read, or two files have one stem.
 pub(crate) fn motion_files(folder: &Path) -> Result<Vec<PathBuf>, EvaluationError> {
     let mut files: BTreeMap<String, PathBuf> = BTreeMap::new();
     for path in entries(folder)? {
-        let is_index = path.file_name().is_some_and(|name| name == "index.json");
-        if is_index || Kind::of(&path).is_none() || !path.is_file() {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let is_other = name == "index.json" || name.ends_with(CODES);
+        if is_other || Kind::of(&path).is_none() || !path.is_file() {
             continue;
         }
         if let Some(other) = files.insert(stem(&path), path.clone()) {
@@ -88,7 +93,7 @@ mod tests {
     fn a_folder_has_one_motion_per_stem() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
-        for name in ["b.npy", "a.bvh", "index.json", "song.ogg"] {
+        for name in ["b.npy", "a.bvh", "b.codes.npy", "index.json", "song.ogg"] {
             fs::write(file(name), "").unwrap();
         }
         let found = motion_files(folder.path()).unwrap();

@@ -4,7 +4,7 @@ use bailando::motion::{Positions, Skeleton};
 use glam::DVec3;
 use ndarray::ArrayView2;
 
-use crate::data::FPS;
+use crate::data::{FPS, load::broken_frame};
 
 const PELVIS: usize = 0;
 const HIPS: [usize; 2] = [1, 2];
@@ -37,6 +37,8 @@ pub(super) struct MotionFacts {
     pub(super) fastest: (f64, usize, usize),
     /// Fastest step of the pelvis, units per second.
     pub(super) root_fastest: f64,
+    /// Height of the pelvis: highest less lowest, units.
+    pub(super) root_rise: f64,
     /// Share of frames that repeat the one before.
     pub(super) repeated: f64,
     /// 5th percentile of the lower foot's height, units.
@@ -46,8 +48,7 @@ pub(super) struct MotionFacts {
 /// Measures a motion.
 pub(super) fn measure(positions: &Positions, skeleton: &Skeleton) -> MotionFacts {
     let frames = positions.dim().0;
-    let not_finite =
-        positions.outer_iter().position(|pose| pose.iter().any(|value| !value.is_finite()));
+    let not_finite = broken_frame(positions);
     let mut facts = MotionFacts {
         frames,
         not_finite,
@@ -59,6 +60,7 @@ pub(super) fn measure(positions: &Positions, skeleton: &Skeleton) -> MotionFacts
         speed: 0.0,
         fastest: (0.0, 0, 0),
         root_fastest: 0.0,
+        root_rise: 0.0,
         repeated: 0.0,
         floor: 0.0,
     };
@@ -66,6 +68,7 @@ pub(super) fn measure(positions: &Positions, skeleton: &Skeleton) -> MotionFacts
         facts.measure_bones(positions, skeleton);
         facts.measure_posture(positions);
         facts.measure_speed(positions);
+        facts.root_rise = root_rise(positions);
         facts.floor = floor(positions);
     }
     facts
@@ -143,6 +146,14 @@ impl MotionFacts {
         self.speed = sum / (steps * joints as f64);
         self.repeated = repeated as f64 / steps;
     }
+}
+
+fn root_rise(positions: &Positions) -> f64 {
+    let heights = positions.outer_iter().map(|pose| at(pose, PELVIS).y);
+    let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), height| {
+        (low.min(height), high.max(height))
+    });
+    high - low
 }
 
 fn floor(positions: &Positions) -> f64 {

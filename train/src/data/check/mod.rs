@@ -16,12 +16,18 @@ use std::{
     path::Path,
 };
 
+use bailando::motion::{Positions, Skeleton};
 use findings::Findings;
+use glam::DVec3;
+
 pub use findings::{Finding, Severity, Topic};
 pub use options::CheckOptions;
 pub use report::{Report, SplitSummary};
 
-use super::{DataError, Dataset, MotionSource, Piece, Split};
+use super::{DataError, Dataset, MotionSource, Piece, Split, dataset::Absent};
+
+/// Dances of a list that are named where they are not there.
+const NAMED: usize = 3;
 
 /// Checks the folder `root`.
 ///
@@ -36,6 +42,12 @@ pub fn check(root: &Path, options: &CheckOptions) -> Result<Report, DataError> {
     }
     for note in &dataset.notes {
         findings.add(Topic::Layout, note.clone());
+    }
+    for Absent { split, named, ids } in &dataset.absent {
+        let (count, some) = (ids.len(), ids.iter().take(NAMED).cloned().collect::<Vec<_>>());
+        let more = if count > NAMED { ", .." } else { "" };
+        let place = format!("{split}: {count} of {named}: {}{more}", some.join(", "));
+        findings.add(Topic::Absent, place);
     }
     missing_files(&dataset, &mut findings);
     let mut by_motion: BTreeMap<&MotionSource, Vec<&Piece>> = BTreeMap::new();
@@ -66,6 +78,11 @@ pub fn check(root: &Path, options: &CheckOptions) -> Result<Report, DataError> {
             .count(),
         findings: findings.into_list(),
     })
+}
+
+/// Returns the mean direction from feet to head.
+pub(super) fn up_direction(positions: &Positions, skeleton: &Skeleton) -> DVec3 {
+    facts::measure(positions, skeleton).up
 }
 
 fn missing_files(dataset: &Dataset, findings: &mut Findings) {

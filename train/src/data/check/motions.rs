@@ -27,6 +27,8 @@ const BONE_DIFFERENCE: f64 = 0.02;
 const JUMP: f64 = 15.0;
 /// The pelvis of a person, metres per second, with room for a jump or two.
 const ROOT_JUMP: f64 = 40.0;
+/// Metres between the lowest and the highest place of the pelvis: no dancer jumps that high.
+const ROOT_RISE: f64 = 5.0;
 /// Metres per second, mean over all joints.
 const STILL: f64 = 0.03;
 /// Metres: standing feet of the recordings are at 0.006 to 0.022 (DESIGN).
@@ -95,12 +97,13 @@ fn judge(facts: &MotionFacts, skeleton: &Skeleton, name: &str, findings: &mut Fi
         findings.add(Topic::Units, format!("{name}: {}", unit(facts.scale)));
         return;
     }
-    if facts.root_fastest > ROOT_JUMP && facts.floor.abs() > 10.0 {
+    if facts.root_rise > ROOT_RISE || facts.root_fastest > ROOT_JUMP && facts.floor.abs() > 10.0 {
         findings.add(
             Topic::RootUnits,
             format!(
-                "{name}: the feet are at height {:.0}, the root moves at up to {:.0} a second",
-                facts.floor, facts.root_fastest
+                "{name}: the feet are at height {:.0}, the root moves by {:.0} up and down, at up \
+                 to {:.0} a second",
+                facts.floor, facts.root_rise, facts.root_fastest
             ),
         );
         return;

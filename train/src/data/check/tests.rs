@@ -281,6 +281,26 @@ fn splits_must_not_be_empty() {
 }
 
 #[test]
+fn dances_that_lists_name_in_vain_are_counted_for_each_split() {
+    let folder = tempfile::tempdir().unwrap();
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/train");
+    fs::copy(fixtures.join("aist_protocol4.pkl"), folder.path().join("a.pkl")).unwrap();
+    fs::create_dir(folder.path().join("splits")).unwrap();
+    for (name, ids) in [
+        ("splits/crossmodal_train.txt", "a b c"),
+        ("splits/crossmodal_val.txt", "d e f"),
+        ("splits/crossmodal_test.txt", "g"),
+        ("ignore_list.txt", "c"),
+    ] {
+        fs::write(folder.path().join(name), ids.replace(' ', "\n")).unwrap();
+    }
+    let report = check(folder.path(), &WITHOUT_SONGS).unwrap();
+    let absent = report.findings.iter().find(|finding| finding.topic == Topic::Absent).unwrap();
+    assert_eq!(absent.places, ["train: 1 of 2: b", "test: 4 of 4: d, e, f, .."]);
+    assert_eq!(absent.severity, Severity::Warning);
+}
+
+#[test]
 fn songs_are_picked_evenly_and_exactly() {
     for (wanted, count) in [(0, 5), (2, 5), (5, 5), (9, 5), (3, 0)] {
         let picked = (0..count).filter(|&index| music::is_picked(index, wanted, count));

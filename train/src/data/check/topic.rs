@@ -71,6 +71,8 @@ pub enum Topic {
     NoBeats,
     /// Stored rows have 60 a second.
     StoredRows,
+    /// Lists of splits name dances that are not there.
+    Absent,
     /// Nothing to evaluate with.
     NoTest,
     /// Variants of one recording are in both splits.
@@ -182,6 +184,9 @@ impl Topic {
             Self::StoredRows => (Warning, "music_array has 60 rows a second: enough for beat \
                                            scores, but the GPT needs 7.5.",
                 "Give the songs with --audio DIR, or the 7.5-row files in a folder `music`."),
+            Self::Absent => (Warning, "The lists of splits name dances that the folder lacks.",
+                "Get the whole set: the AIST++ archive that is easiest to get holds 411 of 1,408 \
+                 dances. Figures of a part compare with no published ones."),
             Self::NoTest => (Warning, "No piece has the split test: there is nothing to judge the \
                                        model by.",
                 "Keep some takes apart as test, with songs of their own."),
