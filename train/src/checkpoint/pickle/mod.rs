@@ -15,7 +15,6 @@ mod rebuild;
 mod tests_numpy;
 mod value;
 
-pub(crate) use array::NumpyArray;
 pub(crate) use value::{Arena, ElementType, Id, Object, Storage, TensorView};
 
 use std::collections::HashMap;

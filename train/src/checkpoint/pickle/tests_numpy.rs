@@ -1,5 +1,6 @@
 //! Pickled arrays, and pickles that pretend to be.
 
+use super::array::NumpyArray;
 use super::*;
 
 /// A [2] float32 array as protocol 3 writes it, without the opcode in front and STOP behind.
