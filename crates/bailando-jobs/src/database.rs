@@ -3,7 +3,7 @@
 use std::{fmt::Write, path::Path, time::Duration};
 
 use sqlx::{
-    Any, ConnectOptions, Executor, Pool,
+    Any, AnyConnection, ConnectOptions, Connection, Executor, Pool,
     any::{AnyConnectOptions, AnyPoolOptions},
 };
 use tokio::sync::OnceCell;
@@ -77,6 +77,12 @@ impl Database {
         let options: AnyConnectOptions = self.url.parse()?;
         let options = options.disable_statement_logging();
         let sqlite = self.kind == Kind::Sqlite;
+        if sqlite && !self.in_memory {
+            // A pool would try a file that is no database again and again.
+            let mut first = AnyConnection::connect_with(&options).await?;
+            first.execute(PRAGMAS).await?;
+            first.close().await?;
+        }
         let mut pool =
             AnyPoolOptions::new().max_connections(self.connections).acquire_timeout(PATIENCE);
         if self.in_memory {
