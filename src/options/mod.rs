@@ -68,7 +68,7 @@ impl RequestOptions {
         }
     }
 
-    /// The options that were given, as texts that [`RequestOptions::set`] takes again.
+    /// The options that were given, as texts that `set` takes again.
     #[must_use]
     pub fn given(&self) -> &[(&'static str, String)] {
         &self.given
