@@ -1,6 +1,10 @@
 //! The connection to SQLite or PostgreSQL, opened when it is first needed.
 
-use std::{fmt::Write, path::Path, time::Duration};
+use std::{
+    fmt::Write,
+    path::Path,
+    time::{Duration, Instant},
+};
 
 use sqlx::{
     Any, AnyConnection, ConnectOptions, Connection, Executor, Pool,
@@ -12,6 +16,9 @@ use super::{JobsError, kind::Kind, schema};
 
 /// How long a statement waits for a connection before it has failed.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// How long to wait before a locked file is tried again.
+const BETWEEN_TRIES: Duration = Duration::from_millis(20);
 
 /// A database that is connected to, and whose tables are made, at the first use.
 #[derive(Debug)]
@@ -72,16 +79,32 @@ impl Database {
         self.pool.get_or_try_init(|| self.open()).await
     }
 
+    /// Connects as often as [`PATIENCE`] allows while another process turns the file to its
+    /// journal or cleans that up: SQLite refuses both at once, whatever its busy time-out.
     async fn open(&self) -> Result<Pool<Any>, JobsError> {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            match self.connect().await {
+                Err(error) if error.is_locked() && Instant::now() < until => {
+                    tokio::time::sleep(BETWEEN_TRIES).await;
+                }
+                opened => return opened,
+            }
+        }
+    }
+
+    async fn connect(&self) -> Result<Pool<Any>, JobsError> {
         sqlx::any::install_default_drivers();
         let options: AnyConnectOptions = self.url.parse()?;
         let options = options.disable_statement_logging();
         let sqlite = self.kind == Kind::Sqlite;
+        // A pool would try a file that is no database again and again. Open until the end, since
+        // the last connection that is closed locks the file to clean up.
+        let mut first = None;
         if sqlite && !self.in_memory {
-            // A pool would try a file that is no database again and again.
-            let mut first = AnyConnection::connect_with(&options).await?;
-            first.execute(PRAGMAS).await?;
-            first.close().await?;
+            let mut connection = AnyConnection::connect_with(&options).await?;
+            connection.execute(PRAGMAS).await?;
+            first = Some(connection);
         }
         let mut pool =
             AnyPoolOptions::new().max_connections(self.connections).acquire_timeout(PATIENCE);
@@ -98,6 +121,9 @@ impl Database {
         });
         let pool = pool.connect_with(options).await?;
         schema::migrate(&pool, self.kind).await?;
+        if let Some(first) = first {
+            first.close().await?;
+        }
         Ok(pool)
     }
 }
@@ -105,7 +131,7 @@ impl Database {
 /// Readers do not wait for the writer, other processes wait for this one, and what was acknowledged
 /// survives a loss of power.
 const PRAGMAS: &str =
-    "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA busy_timeout = 5000;";
+    "PRAGMA busy_timeout = 5000; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;";
 
 /// A path as part of a URL.
 fn percent_encoded(path: &Path) -> String {

@@ -54,6 +54,15 @@ pub enum JobsError {
 }
 
 impl JobsError {
+    /// Whether SQLite found its file locked by another connection (`SQLITE_BUSY`, which is the
+    /// lowest byte of its extended codes).
+    pub(crate) fn is_locked(&self) -> bool {
+        const SQLITE_BUSY: u32 = 5;
+        let Self::Database(sqlx::Error::Database(error)) = self else { return false };
+        let code = error.code().and_then(|code| code.parse::<u32>().ok());
+        code.is_some_and(|code| code & 0xff == SQLITE_BUSY)
+    }
+
     /// Whether a file or a record is missing or broken, as opposed to a fault that passes.
     #[must_use]
     pub fn is_lasting(&self) -> bool {

@@ -1,6 +1,7 @@
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use bailando_testkit::postgres::Postgres;
+use sqlx::{Connection, Executor};
 
 use crate::{
     Inserted, JobTable, JobsError, NewJob, SCHEMA, State, database::Database, schema::first_steps,
@@ -51,6 +52,23 @@ async fn older_tables_are_brought_up_to_date() {
     if let Some(postgres) = Postgres::start() {
         brought_up_to_date(&postgres.url()).await;
     }
+}
+
+/// Another process turns the file to its journal, or cleans that up, at the same moment.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_file_that_is_locked_for_a_moment_is_opened_after_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("jobs.sqlite");
+    sqlx::any::install_default_drivers();
+    let url = format!("sqlite://{}?mode=rwc", file.display());
+    let mut other = sqlx::AnyConnection::connect(&url).await.unwrap();
+    other.execute("CREATE TABLE other (id TEXT); BEGIN EXCLUSIVE").await.unwrap();
+    let table = JobTable::in_file(&file);
+    let opened = tokio::spawn(async move { table.open().await });
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    assert!(!opened.is_finished());
+    other.execute("COMMIT").await.unwrap();
+    opened.await.unwrap().unwrap();
 }
 
 #[tokio::test]
