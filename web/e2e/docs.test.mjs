@@ -39,7 +39,8 @@ async function tryIt() {
     wanted: operation.locator('.responses-table select').first(),
   };
   const execute = async () => {
-    await body.locator('input[type=file]').setInputFiles(song);
+    // The song comes first; the form has a field for a character too.
+    await body.locator('input[type=file]').first().setInputFiles(song);
     const answered = page.waitForResponse((response) => response.url().includes('/generate'));
     await operation.locator('.execute').click();
     const response = await answered;

@@ -47,10 +47,10 @@ export async function startBrowser() {
   return chromium.launch({
     executablePath: path,
     args: [
-      // Software rendering, for machines without a graphics card.
+      // As browsers do without a graphics card: the scene is drawn by SwiftShader, the page not.
       '--use-angle=swiftshader',
       '--enable-unsafe-swiftshader',
-      '--ignore-gpu-blocklist',
+      '--disable-gpu-compositing',
       '--autoplay-policy=no-user-gesture-required',
       '--use-fake-device-for-media-stream',
       '--use-fake-ui-for-media-stream',

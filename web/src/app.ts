@@ -56,6 +56,7 @@ export class App {
   private shownContacts = -1;
 
   constructor() {
+    document.body.dataset.drawing = this.stage.software ? 'software' : 'card';
     new Intake(
       (file) => this.take(file),
       (file) => void this.choose(file),
