@@ -51,8 +51,8 @@ use crate::{
     ),
     responses(
         MotionResponse,
-        (status = 206, description = "The bytes that the header Range asks for.", body = String,
-            content_type = "application/octet-stream"),
+        // Without a body: clients made of the document would take any dance for bytes.
+        (status = 206, description = "The bytes that the header Range asks for."),
         JobResultErrors,
     )
 )]
