@@ -81,12 +81,18 @@ async fn docs_page_and_its_assets_are_embedded() {
 
 #[tokio::test]
 async fn info_tells_the_model_and_every_limit() {
-    let answer = get(&app(&Fake::new(), &Limits::default()), "/info").await;
+    let app = app(&Fake::new(), &Limits::default());
+    let answer = get(&app, "/info").await;
     assert_eq!(answer.status, StatusCode::OK);
     let mut info = answer.json();
     assert_eq!(info["version"], env!("CARGO_PKG_VERSION"));
     info["version"] = "[version]".into();
     insta::assert_json_snapshot!(info);
+    // In the document they have the names under which they are sent.
+    let document = get(&app, "/api-doc/openapi.json").await.json();
+    let described = document["components"]["schemas"]["Limits"]["properties"].as_object().unwrap();
+    let sent = info["limits"].as_object().unwrap();
+    assert_eq!(described.keys().collect::<Vec<_>>(), sent.keys().collect::<Vec<_>>());
 }
 
 #[tokio::test]

@@ -22,11 +22,12 @@ const BYTES_PER_SECOND: f64 = 700_000.0;
 pub(crate) const FORM_OVERHEAD: u64 = 64 * 1024;
 
 /// Defines all limits: description, name and type, name and type in JSON, environment variable,
-/// default, and the parser where the type has none of its own.
+/// default, and the parser where the type has none of its own. The name in JSON is a `tt`, since
+/// utoipa does not see a `literal` that a macro passes on to `serde(rename)`.
 macro_rules! limits {
     ($(
         $(#[doc = $about:literal])+
-        $name:ident: $type:ty [$json:literal $($schema:tt)+]
+        $name:ident: $type:ty [$json:tt $($schema:tt)+]
             $env:literal $(= $default:expr)? $(, $parser:expr)?;
     )+) => {
         /// Every limit of the service, as `GET /info` reports it.
