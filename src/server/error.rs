@@ -202,7 +202,7 @@ errors! {
         PAYLOAD_TOO_LARGE "payload_too_large"
             TooLarge { limit: ByteSize, lossy: ByteSize, lossless: ByteSize }
             => "the audio is larger than {limit}: up to {lossy} is accepted, up to {lossless} for \
-                wav and flac";
+                wav, aiff and flac";
         UNSUPPORTED_MEDIA_TYPE "unsupported_media_type" UnsupportedMedia(String) => "{0}";
         SERVICE_UNAVAILABLE "model_stopped" ModelStopped
             => "the model has stopped: the server must be started again";

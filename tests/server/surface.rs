@@ -92,7 +92,8 @@ async fn info_tells_the_model_and_every_limit() {
     let document = get(&app, "/api-doc/openapi.json").await.json();
     let described = document["components"]["schemas"]["Limits"]["properties"].as_object().unwrap();
     let sent = info["limits"].as_object().unwrap();
-    assert_eq!(described.keys().collect::<Vec<_>>(), sent.keys().collect::<Vec<_>>());
+    let missing: Vec<_> = described.keys().filter(|name| !sent.contains_key(*name)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
 }
 
 #[tokio::test]

@@ -6,8 +6,8 @@ use symphonia::{
         codecs::audio::{
             AudioCodecParameters, AudioDecoder, AudioDecoderOptions, CODEC_ID_NULL_AUDIO,
             well_known::{
-                CODEC_ID_AAC, CODEC_ID_AC3, CODEC_ID_EAC3, CODEC_ID_MP3, CODEC_ID_OPUS,
-                CODEC_ID_VORBIS,
+                CODEC_ID_AAC, CODEC_ID_AC3, CODEC_ID_DCA, CODEC_ID_EAC3, CODEC_ID_MP3,
+                CODEC_ID_OPUS, CODEC_ID_VORBIS,
             },
         },
         errors::Error as SymphoniaError,
@@ -161,6 +161,7 @@ fn codec_words(parameters: &AudioCodecParameters, reason: &str) -> String {
     let words = match parameters.codec {
         CODEC_ID_AAC => "AAC of another profile than LC and HE-AAC, or with more than 2 channels",
         CODEC_ID_AC3 | CODEC_ID_EAC3 => "Dolby Digital (AC-3)",
+        CODEC_ID_DCA => "DTS",
         CODEC_ID_NULL_AUDIO => "an unknown codec",
         other => {
             return match get_codecs().get_audio_decoder(other) {

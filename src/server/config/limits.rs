@@ -138,7 +138,7 @@ limits! {
     /// Largest audio file; bytes, or with kB, MB, KiB, MiB
     payload_limit: ByteSize ["payload_limit_bytes" u64]
         "BAILANDO_PAYLOAD_LIMIT" = ByteSize(25_000_000);
-    /// Largest wav or flac file (recognised by its first bytes)
+    /// Largest wav, aiff or flac file (recognised by its first bytes)
     payload_limit_lossless: ByteSize ["payload_limit_lossless_bytes" u64]
         "BAILANDO_PAYLOAD_LIMIT_LOSSLESS" = ByteSize(100_000_000);
     /// Largest character or skeleton of a caller's own (part rig: bvh, glb, vrm)
