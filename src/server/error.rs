@@ -323,7 +323,8 @@ impl ServerError {
     /// Returns the error as the caller sees it. Faults of our own are logged here, and hidden.
     pub(crate) fn report(&self) -> Report {
         let (status, error_type) = self.classify();
-        let message = if status == StatusCode::INTERNAL_SERVER_ERROR {
+        let told = matches!(self, Self::Abandoned { .. });
+        let message = if status == StatusCode::INTERNAL_SERVER_ERROR && !told {
             tracing::error!(error = %self, "request failed");
             "something went wrong inside the server: report it with the request_id".to_owned()
         } else {

@@ -18,6 +18,8 @@ from harness import KEPT, ROOT, Server, Verdict, arguments, clean_environment, s
 from songs import mp3
 
 TOOL = "schemathesis==4.32.5"
+# What it says where it fails to damage a form with a file: mended upstream, in no release yet.
+UNDRAWN = "Unsupported type: 'Binary'"
 VENV = ROOT / "target/load-venv"
 CHECKS = [
     "not_a_server_error",
@@ -127,8 +129,13 @@ def judge(verdict, name, report):
         )
     for error in report["errors"]:
         verdict.note(f"  error: {str(error)[:300]}")
+    output = (KEPT / f"contract-{name}.txt").read_text(errors="replace")
+    undrawn = output.count(f"Runtime Error\n\n{UNDRAWN}\n")
+    if undrawn:
+        verdict.note(f"{name}: routes of which it gave up drawing forms (its pull request 4520): {undrawn}")
+    errors = sum(error["count"] for error in report["errors"])
     verdict.equal(f"{name}: failures", cases["unique_failures"], 0)
-    verdict.equal(f"{name}: errors of the run", len(report["errors"]) + cases["errored"], 0)
+    verdict.equal(f"{name}: errors of the run", errors - undrawn + cases["errored"], 0)
     verdict.check(f"{name}: run completed", report["stop_reason"], "completed", report["complete"])
     verdict.note(
         f"{name}: {cases['generated']} requests in {report['running_time']:.0f} s, seed {report['seed']}; "

@@ -59,7 +59,7 @@ impl JobOptions {
         };
         let known = match name {
             "priority" => {
-                let fits = |value: &i64| value.abs() <= MOST_PRIORITY;
+                let fits = |value: &i64| (-MOST_PRIORITY..=MOST_PRIORITY).contains(value);
                 let Some(value) = text.parse().ok().filter(fits) else {
                     return refuse(format!(
                         "a whole number from -{MOST_PRIORITY} to {MOST_PRIORITY}"
@@ -145,6 +145,7 @@ mod tests {
     fn what_means_nothing_is_refused() {
         for text in [
             "priority=101",
+            "priority=-9223372036854775808",
             "priority=high",
             "priority=1&priority=1",
             "expires_s=0",
