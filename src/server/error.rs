@@ -204,6 +204,9 @@ errors! {
             => "the audio is larger than {limit}: up to {lossy} is accepted, up to {lossless} for \
                 wav, aiff and flac";
         UNSUPPORTED_MEDIA_TYPE "unsupported_media_type" UnsupportedMedia(String) => "{0}";
+        UNPROCESSABLE_ENTITY "unusable_rig" RigTooLong { bytes: ByteSize, memory: ByteSize }
+            => "the dance on this rig could take {bytes}, and all answers have {memory}: choose a \
+                shorter part with `duration_s`, a lower `fps`, or a rig with fewer bones";
         SERVICE_UNAVAILABLE "model_stopped" ModelStopped
             => "the model has stopped: the server must be started again";
         NOT_FOUND "no_model_here" NoModel

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use glam::{DQuat, DVec3};
 
 use super::{
-    limits::RigLimits,
+    limits::{RigLimits, check_name},
     pose::Poses,
     refusal::{problem, short},
     tree::{Bone, Tree},
@@ -14,6 +14,8 @@ use crate::{decimal::push_decimal, error::FormatError, euler::RotationOrder};
 
 /// Most channels of one joint: three of place and three of rotation.
 const MOST_CHANNELS: usize = 6;
+/// Longest line of a hierarchy in bytes.
+const LONGEST_LINE: usize = 64 * 1024;
 /// Decimals of lengths and of degrees.
 const DECIMALS: usize = 6;
 /// What a frame of one joint with three channels takes, about, in bytes.
@@ -48,6 +50,9 @@ pub(super) fn read(bytes: Vec<u8>, limits: &RigLimits) -> Result<(BvhFile, Tree)
     let mut at = 0;
     let mut motion = None;
     for line in bytes.split_inclusive(|&byte| byte == b'\n' || byte == b'\r') {
+        if line.len() > LONGEST_LINE {
+            return problem(format!("the BVH file's hierarchy has a line of {} bytes", line.len()));
+        }
         let text = String::from_utf8_lossy(line);
         if text.trim().eq_ignore_ascii_case("MOTION") {
             motion = Some(at);
@@ -122,6 +127,7 @@ impl<'a> Reader<'a> {
             return problem("the BVH file has several roots, or a joint without braces");
         }
         self.limits.check_bones(self.bones.len() + 1)?;
+        check_name(name)?;
         self.announced = Some(self.bones.len());
         self.channels.push(Vec::new());
         self.bones.push(Bone {
