@@ -295,6 +295,25 @@ async fn one_client_leaves_jobs_to_the_others() {
 }
 
 #[tokio::test]
+async fn one_client_leaves_bytes_for_jobs_to_the_others() {
+    let fake = Fake::new();
+    let limits = Limits { job_bytes: ByteSize(4_000_000), ..Limits::default() };
+    let app = keyed(&fake, &limits);
+    // What comes after it waits: it takes the client's share of the workers.
+    assert_eq!(send(&app, of("one", post("/jobs", "", BLOCK))).await.status, 202);
+    fake.wait_started(1).await;
+    let song = vec![0; 1_000_000];
+    for _ in 0..3 {
+        let order = send(&app, of("one", post("/jobs", "", song.clone()))).await;
+        assert_eq!(order.status, 202);
+    }
+    let more = send(&app, of("one", post("/jobs", "", song.clone()))).await;
+    more.expect_error(503, "job_bytes");
+    assert_eq!(send(&app, of("two", post("/jobs", "", song))).await.status, 202);
+    fake.release();
+}
+
+#[tokio::test]
 async fn a_job_has_its_time() {
     let fake = Fake::new();
     let limits = Limits { job_timeout: Seconds(SOON), ..Limits::default() };

@@ -24,6 +24,8 @@ pub struct Kept {
     pub own: i64,
     /// Bytes of all songs and results.
     pub bytes: i64,
+    /// Bytes of those of the owner that was asked about.
+    pub own_bytes: i64,
 }
 
 /// What [`JobTable::insert`] did.
@@ -243,11 +245,18 @@ impl JobTable {
     pub async fn kept(&self, owner: &str) -> Result<Kept, JobsError> {
         const COUNT: &str = "SELECT COUNT(*), \
              CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN 1 ELSE 0 END), 0) AS BIGINT), \
-             CAST(COALESCE(SUM(order_bytes + result_bytes), 0) AS BIGINT) FROM jobs";
+             CAST(COALESCE(SUM(order_bytes + result_bytes), 0) AS BIGINT), \
+             CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN order_bytes + result_bytes ELSE 0 END), 0) \
+             AS BIGINT) FROM jobs";
         let Some(row) = self.row(sqlx::query(COUNT).bind(owner.to_owned())).await? else {
             return Ok(Kept::default());
         };
-        Ok(Kept { jobs: row.try_get(0)?, own: row.try_get(1)?, bytes: row.try_get(2)? })
+        Ok(Kept {
+            jobs: row.try_get(0)?,
+            own: row.try_get(1)?,
+            bytes: row.try_get(2)?,
+            own_bytes: row.try_get(3)?,
+        })
     }
 
     /// Counts the queued jobs that begin before this one, if none of higher priority come.

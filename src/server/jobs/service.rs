@@ -40,6 +40,7 @@ pub(crate) struct Jobs {
     most: usize,
     share: usize,
     bytes: ByteSize,
+    share_of_bytes: u64,
     ttl: Duration,
     // Held only to look up, to put or to take out.
     here: Mutex<Here>,
@@ -70,7 +71,7 @@ impl Jobs {
     pub(crate) fn new(storage: JobStorage, limits: &Limits) -> Self {
         let JobStorage { table, files, durable } = storage;
         let most = limits.max_jobs.get();
-        let in_memory = |kept: ByteSize| if durable { kept } else { kept.min(MEMORY) };
+        let bytes = if durable { limits.job_bytes } else { limits.job_bytes.min(MEMORY) };
         let ttl = if durable { limits.job_ttl } else { limits.job_ttl.min(MEMORY_TTL) };
         Self {
             table,
@@ -80,7 +81,8 @@ impl Jobs {
             owners: OnceLock::new(),
             most,
             share: limits.share_of(most as u64) as usize,
-            bytes: in_memory(limits.job_bytes),
+            bytes,
+            share_of_bytes: limits.share_of(bytes.0),
             ttl: ttl.0,
             here: Mutex::default(),
         }
@@ -143,8 +145,10 @@ impl Jobs {
         self.expire().await?;
         let kept = self.table.kept(owner).await?;
         let count = |jobs: i64| usize::try_from(jobs).unwrap_or(0);
-        let within = Owners::is_unknown(owner) || count(kept.own) < self.share;
-        let fits = u64::try_from(kept.bytes).unwrap_or(0) < self.bytes.0;
+        let bytes = |bytes: i64| u64::try_from(bytes).unwrap_or(0);
+        let own_fits = bytes(kept.own_bytes) < self.share_of_bytes;
+        let within = Owners::is_unknown(owner) || (count(kept.own) < self.share && own_fits);
+        let fits = bytes(kept.bytes) < self.bytes.0 && (within || own_fits);
         if within && fits && count(kept.jobs) < self.most {
             return Ok(None);
         }

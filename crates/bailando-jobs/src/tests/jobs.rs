@@ -69,8 +69,9 @@ fn a_job_is_kept_worked_on_and_done() {
         assert_eq!((done.state, done.result.as_deref()), (State::Done, Some("[1]")));
         assert!(done.finished_at >= done.started_at && done.started_at >= Some(done.created_at));
         let kept = jobs.kept("me").await.unwrap();
-        assert_eq!(kept, Kept { jobs: 1, own: 1, bytes: 5 });
-        assert_eq!(jobs.kept("you").await.unwrap().own, 0);
+        assert_eq!(kept, Kept { jobs: 1, own: 1, bytes: 5, own_bytes: 5 });
+        let others = jobs.kept("you").await.unwrap();
+        assert_eq!(others, Kept { jobs: 1, own: 0, bytes: 5, own_bytes: 0 });
         assert!(!jobs.renew(&lease, LONG, &reached(9)).await.unwrap(), "the lease has ended");
         assert!(jobs.delete(id).await.unwrap() && !jobs.delete(id).await.unwrap());
     });
