@@ -173,9 +173,20 @@ impl Jobs {
     /// # Errors
     /// [`ServerError::JobStore`].
     pub(crate) async fn find(&self, id: Uuid) -> Result<Option<JobRecord>, ServerError> {
-        let job = self.table.find(id).await?;
+        Ok(self.unexpired(self.table.find(id).await?))
+    }
+
+    /// Finds how far a job is, without the texts of order and result.
+    ///
+    /// # Errors
+    /// [`ServerError::JobStore`].
+    pub(crate) async fn look(&self, id: Uuid) -> Result<Option<JobRecord>, ServerError> {
+        Ok(self.unexpired(self.table.look(id).await?))
+    }
+
+    fn unexpired(&self, job: Option<JobRecord>) -> Option<JobRecord> {
         let since = self.finished_since();
-        Ok(job.filter(|job| job.finished_at.is_none_or(|finished| finished >= since)))
+        job.filter(|job| job.finished_at.is_none_or(|finished| finished >= since))
     }
 
     /// Stops a job, deletes its files and forgets it; whether there was one.

@@ -56,7 +56,7 @@ fn a_job_is_kept_worked_on_and_done() {
         let id = insert(&jobs, order.clone()).await;
         let kept = find(&jobs, id).await;
         assert_eq!((kept.state, kept.starts, kept.priority), (State::Queued, 0, 2));
-        assert_eq!(kept.order, order.order);
+        assert_eq!((&kept.order, kept.order_bytes), (&order.order, 7 + 2));
         let lease = take(&jobs).await.unwrap();
         assert_eq!((lease.job.id, lease.job.state), (id, State::Running));
         assert!(take(&jobs).await.is_none());
@@ -69,9 +69,12 @@ fn a_job_is_kept_worked_on_and_done() {
         assert_eq!((done.state, done.result.as_deref()), (State::Done, Some("[1]")));
         assert!(done.finished_at >= done.started_at && done.started_at >= Some(done.created_at));
         let kept = jobs.kept("me").await.unwrap();
-        assert_eq!(kept, Kept { jobs: 1, own: 1, bytes: 5, own_bytes: 5 });
+        // The order takes two bytes, the result five.
+        assert_eq!(kept, Kept { jobs: 1, own: 1, bytes: 7, own_bytes: 7 });
         let others = jobs.kept("you").await.unwrap();
-        assert_eq!(others, Kept { jobs: 1, own: 0, bytes: 5, own_bytes: 0 });
+        assert_eq!(others, Kept { jobs: 1, own: 0, bytes: 7, own_bytes: 0 });
+        let (order, result) = (String::new(), Some(String::new()));
+        assert_eq!(jobs.look(id).await.unwrap(), Some(JobRecord { order, result, ..done }));
         assert!(!jobs.renew(&lease, LONG, &reached(9)).await.unwrap(), "the lease has ended");
         assert!(jobs.delete(id).await.unwrap() && !jobs.delete(id).await.unwrap());
     });

@@ -126,6 +126,9 @@ async fn accept(
     }
     jobs.make_room(&owner).await?;
     let id = Uuid::new_v4();
+    let result = known_result(jobs, &prepared, id).await;
+    // The song of a dance that is there already is not kept.
+    let song = if result.is_some() { 0 } else { order.audio.len() };
     let job = NewJob {
         id,
         request_id,
@@ -134,8 +137,8 @@ async fn accept(
         model: model.to_owned(),
         content_key: prepared.content_key.clone(),
         idempotency_key: order.job.idempotency_key.clone(),
-        order_bytes: i64::try_from(order.audio.len()).unwrap_or(i64::MAX),
-        result: known_result(jobs, &prepared, id).await,
+        order_bytes: i64::try_from(song).unwrap_or(i64::MAX),
+        result,
         callback_url: order.job.callback_url.clone(),
         ..NewJob::new(&owner, &to_text(&prepared.order)?)
     };

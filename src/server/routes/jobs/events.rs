@@ -78,6 +78,8 @@ struct Follower {
 
 impl Follower {
     fn new(state: SharedState, job: JobRecord) -> Self {
+        // Nothing of these is told, and there may be many followers.
+        let job = JobRecord { order: String::new(), result: None, ..job };
         Self { state, job, told: String::new(), told_at: Instant::now() }
     }
 
@@ -93,7 +95,7 @@ impl Follower {
     async fn next(&mut self) -> (Bytes, bool) {
         loop {
             self.state.jobs.ask(self.job.id);
-            let found = self.state.jobs.find(self.job.id).await;
+            let found = self.state.jobs.look(self.job.id).await;
             let deleted = matches!(found, Ok(None));
             // While the table does not answer, what was known is told.
             if let Ok(Some(job)) = found {
