@@ -56,6 +56,8 @@ struct Here {
     fetched: Vec<Uuid>,
     /// When somebody asked about a job last, where it ends with the process.
     asked: HashMap<Uuid, Instant>,
+    /// How many streams of events each client reads.
+    followers: HashMap<Client, usize>,
 }
 
 /// A job that is worked on here.
@@ -272,6 +274,12 @@ impl Jobs {
         counts.into_iter().filter(|(_, count)| *count >= share).map(|(owner, _)| owner).collect()
     }
 
+    /// A client reads one more stream of events, until the guard is dropped.
+    pub(crate) fn follow(self: &Arc<Self>, client: Client) -> Following {
+        *self.here().followers.entry(client).or_default() += 1;
+        Following { jobs: Arc::clone(self), client }
+    }
+
     /// What is written of a job's result, shared by its readers.
     pub(crate) fn answers(&self, id: Uuid) -> Arc<Answers> {
         let mut here = self.here();
@@ -290,6 +298,31 @@ pub(crate) struct BeingDone {
 impl Drop for BeingDone {
     fn drop(&mut self) {
         self.jobs.here().running.remove(&self.id);
+    }
+}
+
+/// A client reads a stream of events, as long as this lives.
+pub(crate) struct Following {
+    jobs: Arc<Jobs>,
+    client: Client,
+}
+
+impl Following {
+    /// How many streams of events the client reads.
+    pub(crate) fn of_client(&self) -> usize {
+        self.jobs.here().followers.get(&self.client).copied().unwrap_or(1)
+    }
+}
+
+impl Drop for Following {
+    fn drop(&mut self) {
+        let mut here = self.jobs.here();
+        if let Some(count) = here.followers.get_mut(&self.client) {
+            *count -= 1;
+            if *count == 0 {
+                here.followers.remove(&self.client);
+            }
+        }
     }
 }
 
