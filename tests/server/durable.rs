@@ -297,19 +297,49 @@ fn listen(statuses: [u16; 2]) -> (u16, thread::JoinHandle<Vec<String>>) {
     (port, calls)
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn the_end_of_a_job_is_told_signed_and_told_again_if_it_was_not_taken() {
-    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
-    let (port, calls) = listen([500, 204]);
+/// A server that calls this machine.
+async fn caller(fake: &Arc<Fake>, folder: &Path) -> Server {
     let callbacks = CallbackPolicy {
         allow: vec!["127.0.0.1".to_owned()],
         secret: "whsec_c2VjcmV0".parse().unwrap(),
         private: true,
     };
-    let storage = in_folder(folder.path()).await;
+    let storage = in_folder(folder).await;
     let jobs = JobSettings { storage, callbacks, ..JobSettings::default() };
     let service = Service { limits: small_limits(), jobs, ..Service::default() };
-    let server = Server::start_with(&fake, service).await;
+    Server::start_with(fake, service).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_host_that_never_answers_keeps_nobody_else_from_being_told() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = silent.local_addr().unwrap().port();
+    let server = caller(&fake, folder.path()).await;
+    for _ in 0..3 {
+        let url = format!("callback_url=http://127.0.0.1:{port}/");
+        let path = order(&server, &url, b"song").await;
+        until(&server, &path, "done").await;
+    }
+    // They are being called.
+    let held = tokio::task::spawn_blocking(move || [(); 3].map(|()| silent.accept().unwrap()));
+    let held = held.await.unwrap();
+    let (port, calls) = listen([204, 204]);
+    for _ in 0..2 {
+        order(&server, &format!("callback_url=http://127.0.0.1:{port}/"), b"song").await;
+    }
+    let started = Instant::now();
+    tokio::task::spawn_blocking(move || calls.join().unwrap()).await.unwrap();
+    assert!(started.elapsed() < Duration::from_secs(5), "they have 10 s each");
+    drop(held);
+    stop(server).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_end_of_a_job_is_told_signed_and_told_again_if_it_was_not_taken() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let (port, calls) = listen([500, 204]);
+    let server = caller(&fake, folder.path()).await;
     let wrong = "/jobs?callback_url=http://elsewhere.example/";
     let refused = server.expect(post_to(wrong, b"song"), 400).await;
     assert!(refused.contains("does not call elsewhere.example"), "{refused}");

@@ -279,15 +279,17 @@ fn the_end_is_reported_until_somebody_takes_the_report() {
     with_each(async |jobs| {
         let url = Some("https://example.org".to_owned());
         let id = insert(&jobs, NewJob { callback_url: url, ..job("me") }).await;
-        assert!(jobs.due_callback(LONG).await.unwrap().is_none(), "it has not ended");
+        assert!(jobs.due_callback(LONG, &[]).await.unwrap().is_none(), "it has not ended");
         let lease = take(&jobs).await.unwrap();
         jobs.done(&lease, String::new(), 0, &reached(9)).await.unwrap();
-        assert_eq!(jobs.due_callback(LONG).await.unwrap().unwrap().id, id);
-        assert!(jobs.due_callback(LONG).await.unwrap().is_none(), "somebody reports it");
+        let full = ["me", "you"].map(str::to_owned);
+        assert!(jobs.due_callback(LONG, &full).await.unwrap().is_none(), "others are told first");
+        assert_eq!(jobs.due_callback(LONG, &full[1..]).await.unwrap().unwrap().id, id);
+        assert!(jobs.due_callback(LONG, &[]).await.unwrap().is_none(), "somebody reports it");
         jobs.reported(id, Some(Duration::ZERO)).await.unwrap();
-        assert_eq!(jobs.due_callback(LONG).await.unwrap().unwrap().callback_tries, 2);
+        assert_eq!(jobs.due_callback(LONG, &[]).await.unwrap().unwrap().callback_tries, 2);
         jobs.reported(id, None).await.unwrap();
-        assert!(jobs.due_callback(Duration::ZERO).await.unwrap().is_none());
+        assert!(jobs.due_callback(Duration::ZERO, &[]).await.unwrap().is_none());
     });
 }
 
