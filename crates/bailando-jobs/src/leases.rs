@@ -39,7 +39,8 @@ pub struct Reached {
     pub codes_total: i64,
 }
 
-/// By priority; among equals the owner with the fewest jobs in work is next; then the first.
+/// By priority; among equals the owner with the fewest jobs in work is next; then the first. One
+/// that has never failed waits for nothing, whenever it was ordered by a clock that was ahead.
 macro_rules! claim {
     ($lock:literal) => {
         concat!(
@@ -47,7 +48,7 @@ macro_rules! claim {
              started_at = $3, codes_done = 0, codes_total = 0, stage = NULL WHERE id = (\
              SELECT j.id FROM jobs j LEFT JOIN (SELECT owner, COUNT(*) AS jobs FROM jobs \
              WHERE state = 'running' GROUP BY owner) busy ON busy.owner = j.owner \
-             WHERE ((j.state = 'queued' AND j.run_after <= $3 \
+             WHERE ((j.state = 'queued' AND (j.run_after <= $3 OR j.faults = 0) \
              AND (j.expires_at IS NULL OR j.expires_at > $3)) \
              OR (j.state = 'running' AND j.lease_until < $3)) AND j.starts < $4 \
              AND $5 NOT LIKE '%|' || j.owner || '|%' \

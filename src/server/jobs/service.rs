@@ -1,7 +1,7 @@
 //! All jobs: kept in the table, with their files, within limits.
 
 use std::{
-    collections::HashMap,
+    collections::{HashMap, hash_map::Entry},
     sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
     time::Duration,
 };
@@ -254,8 +254,9 @@ impl Jobs {
 
     /// A job is worked on here, until the guard is dropped.
     pub(crate) fn begin(self: &Arc<Self>, id: Uuid, running: Running) -> BeingDone {
+        let tracker = Arc::clone(&running.tracker);
         self.here().running.insert(id, running);
-        BeingDone { jobs: Arc::clone(self), id }
+        BeingDone { jobs: Arc::clone(self), id, tracker }
     }
 
     /// The work on a job, if it is done here.
@@ -293,11 +294,18 @@ impl Jobs {
 pub(crate) struct BeingDone {
     jobs: Arc<Jobs>,
     id: Uuid,
+    tracker: Arc<RequestTracker>,
 }
 
 impl Drop for BeingDone {
     fn drop(&mut self) {
-        self.jobs.here().running.remove(&self.id);
+        let mut here = self.jobs.here();
+        // Where the clock was set forward, another worker here may have begun it again.
+        if let Entry::Occupied(running) = here.running.entry(self.id)
+            && Arc::ptr_eq(&running.get().tracker, &self.tracker)
+        {
+            running.remove();
+        }
     }
 }
 

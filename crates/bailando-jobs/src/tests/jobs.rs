@@ -131,6 +131,18 @@ fn a_job_expires_in_the_queue_but_not_once_it_has_begun() {
     });
 }
 
+/// As when a clock is set back, or the clock of who took the order was ahead.
+#[test]
+fn a_job_that_was_ordered_later_than_now_does_not_wait() {
+    with_each(async |jobs| {
+        let id = insert(&jobs, job("me")).await;
+        let ahead = sqlx::query("UPDATE jobs SET created_at = $1, run_after = $1 WHERE id = $2");
+        let ahead = ahead.bind(now() + 3_600_000).bind(id.to_string());
+        assert!(jobs.change(ahead).await.unwrap());
+        assert_eq!(take(&jobs).await.unwrap().job.id, id);
+    });
+}
+
 #[test]
 fn a_retry_waits_and_a_release_is_no_start() {
     with_each(async |jobs| {
