@@ -116,7 +116,10 @@ async fn accept(
     let prepared = {
         let (options, audio) = (order.options.clone(), order.audio.clone());
         let (format, model) = (order.shape.format, model.to_owned());
-        let prepare = move || Ok(StoredOrder::prepare(&options, format, &audio, &model));
+        // Those of the longest dance, and a second more.
+        let seconds = state.limits.max_audio_seconds + 1.0;
+        let codes = (seconds * order.engine.manifest().codes_per_second()) as usize;
+        let prepare = move || Ok(StoredOrder::prepare(&options, format, &audio, &model, codes));
         crate::server::blocking::blocking(&state.metrics, "order", prepare).await?
     };
     if let Some(key) = &order.job.idempotency_key
