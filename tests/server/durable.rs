@@ -3,7 +3,7 @@
 use std::{
     fs,
     io::{Read, Write},
-    net::TcpListener,
+    net::{TcpListener, TcpStream},
     num::NonZeroUsize,
     path::Path,
     sync::{Arc, atomic::Ordering},
@@ -246,6 +246,31 @@ async fn a_job_that_waits_too_long_expires() {
     let gone = api.expect(get(&format!("{path}/result")), 410).await;
     assert!(gone.contains("expires_s"), "{gone}");
     stop(api).await;
+}
+
+/// However early its client hangs up, an order is a job, or leaves nothing.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_is_hung_up_leaves_no_files_behind() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let server = server(&fake, in_folder(folder.path()).await, Role::Api).await;
+    let request = post_to("/jobs", "x".repeat(2_000_000).as_bytes());
+    for number in 0..40 {
+        let (address, request) = (server.address, request.clone());
+        let hung_up = tokio::task::spawn_blocking(move || {
+            let mut stream = TcpStream::connect(address).unwrap();
+            stream.write_all(&request).unwrap();
+            thread::sleep(Duration::from_micros(200 * number));
+        });
+        hung_up.await.unwrap();
+    }
+    eventually("all that is kept is of jobs", async || {
+        let jobs = server.expect(get("/jobs?limit=1000"), 200).await;
+        let mut folders = fs::read_dir(folder.path().join("jobs")).into_iter().flatten().flatten();
+        let is_known = |folder: fs::DirEntry| jobs.contains(&*folder.file_name().to_string_lossy());
+        folders.all(is_known).then_some(())
+    })
+    .await;
+    stop(server).await;
 }
 
 /// The store is gone: what needs it is refused, the rest works, and nothing is lost.
