@@ -18,6 +18,8 @@ const MOST_CHANNELS: usize = 6;
 const LONGEST_LINE: usize = 64 * 1024;
 /// Decimals of lengths and of degrees.
 const DECIMALS: usize = 6;
+/// Longest part of an OFFSET: it is written with every frame, and must not have hundreds of digits.
+const FARTHEST: f64 = 1e6;
 /// What a frame of one joint with three channels takes, about, in bytes.
 const BYTES_PER_JOINT: usize = 45;
 
@@ -153,13 +155,15 @@ impl<'a> Reader<'a> {
         let numbers: Vec<f64> =
             text.split_whitespace().take(4).filter_map(|word| word.parse().ok()).collect();
         match numbers.as_slice() {
-            &[x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) => {
+            &[x, y, z] if [x, y, z].iter().all(|v| v.abs() <= FARTHEST) => {
                 self.bones[bone].place = DVec3::new(x, y, z);
                 Ok(())
             }
             _ => {
                 let (name, text) = (short(&self.bones[bone].name), short(text));
-                problem(format!("the OFFSET of `{name}` is `{text}`, not three numbers"))
+                problem(format!(
+                    "the OFFSET of `{name}` is `{text}`, not three numbers of at most {FARTHEST}"
+                ))
             }
         }
     }

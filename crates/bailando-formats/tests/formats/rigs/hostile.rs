@@ -89,6 +89,7 @@ fn hostile_bvh_files_are_refused_in_words() {
         (of("ROOT a\n{\n}\nROOT b\n{\n"), "several roots"),
         (of("ROOT a\n{\nOFFSET 0 nan 0\n"), "the OFFSET of `a` is `0 nan 0`"),
         (of("ROOT a\n{\nOFFSET 0 0\n"), "not three numbers"),
+        (of("ROOT a\n{\nOFFSET 0 1e308 0\n"), "of at most 1000000"),
         (of("ROOT a\n{\nCHANNELS 3 Xrotation Xrotation Yrotation\n"), "the CHANNELS of `a`"),
         (of("ROOT a\n{\nCHANNELS 99999999999999999999 Xrotation\n"), "the CHANNELS of `a`"),
         (of("OFFSET 0 0 0\n"), "outside of a joint"),
