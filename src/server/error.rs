@@ -325,9 +325,17 @@ impl ServerError {
 
     /// Returns the error as the caller sees it. Faults of our own are logged here, and hidden.
     pub(crate) fn report(&self) -> Report {
+        let report = self.shown();
+        if report.status == StatusCode::INTERNAL_SERVER_ERROR {
+            tracing::error!(error = %self, "request failed");
+        }
+        report
+    }
+
+    /// Returns the error as the caller would see it, and logs nothing: it may not have happened.
+    pub(crate) fn shown(&self) -> Report {
         let (status, error_type) = self.classify();
         let message = if status == StatusCode::INTERNAL_SERVER_ERROR {
-            tracing::error!(error = %self, "request failed");
             "something went wrong inside the server: report it with the request_id".to_owned()
         } else {
             self.to_string()
