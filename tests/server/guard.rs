@@ -9,6 +9,7 @@ use std::{
 
 use axum::{Router, body::Body, http::Request};
 use bailando::server::{Access, ByteSize, Limits, Seconds};
+use tower::ServiceExt;
 
 use super::{
     client::{
@@ -291,6 +292,30 @@ async fn one_client_leaves_jobs_to_the_others() {
     let order = send(&app, of("two", post("/jobs", "", BLOCK))).await;
     assert_eq!(order.status, 202);
     fake.wait_started(1).await;
+    fake.release();
+}
+
+/// As many streams of events as connections, however many an HTTP/2 connection has.
+#[tokio::test]
+async fn one_client_leaves_streams_of_events_to_the_others() {
+    let fake = Fake::new();
+    let limits = Limits { max_connections: count(4), ..Limits::default() };
+    let app = keyed(&fake, &limits);
+    let mut held = Vec::new();
+    let mut follow = async |key: &str, status: u16| {
+        let order = send(&app, of(key, post("/jobs", "", BLOCK))).await;
+        let path = format!("{}/events", order.header("location"));
+        let request = of(key, Request::get(path).body(Body::empty()).unwrap());
+        let answer = app.clone().oneshot(request).await.unwrap();
+        assert_eq!(answer.status(), status);
+        held.push(answer);
+    };
+    for status in [200, 200, 200, 503] {
+        follow("one", status).await;
+    }
+    follow("two", 200).await;
+    follow("two", 503).await;
+    held.clear();
     fake.release();
 }
 

@@ -42,6 +42,9 @@ pub(crate) struct Jobs {
     bytes: ByteSize,
     share_of_bytes: u64,
     ttl: Duration,
+    /// Streams of events that are read at the same time: each holds about what a connection does.
+    most_followers: usize,
+    share_of_followers: usize,
     // Held only to look up, to put or to take out.
     here: Mutex<Here>,
 }
@@ -86,6 +89,8 @@ impl Jobs {
             bytes,
             share_of_bytes: limits.share_of(bytes.0),
             ttl: ttl.0,
+            most_followers: limits.max_connections.get(),
+            share_of_followers: limits.share_of(limits.max_connections.get() as u64) as usize,
             here: Mutex::default(),
         }
     }
@@ -275,10 +280,18 @@ impl Jobs {
         counts.into_iter().filter(|(_, count)| *count >= share).map(|(owner, _)| owner).collect()
     }
 
-    /// A client reads one more stream of events, until the guard is dropped.
-    pub(crate) fn follow(self: &Arc<Self>, client: Client) -> Following {
-        *self.here().followers.entry(client).or_default() += 1;
-        Following { jobs: Arc::clone(self), client }
+    /// A client reads one more stream of events, until the guard is dropped; none where it reads
+    /// its share of them, or all are read.
+    pub(crate) fn follow(self: &Arc<Self>, client: Client) -> Option<Following> {
+        let mut here = self.here();
+        let own = here.followers.get(&client).copied().unwrap_or(0);
+        let within = client == Client::Unknown || own < self.share_of_followers;
+        if !within || here.followers.values().sum::<usize>() >= self.most_followers {
+            return None;
+        }
+        here.followers.insert(client, own + 1);
+        drop(here);
+        Some(Following { jobs: Arc::clone(self), client })
     }
 
     /// What is written of a job's result, shared by its readers.

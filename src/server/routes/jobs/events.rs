@@ -67,7 +67,9 @@ pub(crate) async fn events(
     let mut head = HeaderMap::new();
     head.insert(header::CONTENT_TYPE, HeaderValue::from_static(EVENTS));
     unbuffered(&mut head);
-    let follower = Follower::new(Arc::clone(&state), client, job);
+    let retry_after = state.limits.answer_idle_timeout;
+    let following = state.jobs.follow(client).ok_or(ServerError::Spare { retry_after })?;
+    let follower = Follower::new(Arc::clone(&state), following, job);
     let body = paced::from_stream(follower.events(), state.pace());
     Ok((Held::Paced, head, body).into_response())
 }
@@ -87,10 +89,9 @@ fn pause(streams: usize) -> Duration {
 }
 
 impl Follower {
-    fn new(state: SharedState, client: Client, job: JobRecord) -> Self {
+    fn new(state: SharedState, following: Following, job: JobRecord) -> Self {
         // Nothing of these is told, and there may be many followers.
         let job = JobRecord { order: String::new(), result: None, ..job };
-        let following = state.jobs.follow(client);
         Self { state, job, told: String::new(), told_at: Instant::now(), following }
     }
 
