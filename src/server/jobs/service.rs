@@ -42,9 +42,12 @@ pub(crate) struct Jobs {
     bytes: ByteSize,
     share_of_bytes: u64,
     ttl: Duration,
-    /// Streams of events that are read at the same time: each holds about what a connection does.
-    most_followers: usize,
-    share_of_followers: usize,
+    /// Results and streams of events that are read at the same time: each holds about what a
+    /// connection does, and a descriptor.
+    most_readers: usize,
+    share_of_readers: usize,
+    /// Time in which a reader that takes nothing is given up.
+    patience: Seconds,
     // Held only to look up, to put or to take out.
     here: Mutex<Here>,
 }
@@ -59,8 +62,8 @@ struct Here {
     fetched: Vec<Uuid>,
     /// When somebody asked about a job last, where it ends with the process.
     asked: HashMap<Uuid, Instant>,
-    /// How many streams of events each client reads.
-    followers: HashMap<Client, usize>,
+    /// How many results and streams of events each client reads.
+    readers: HashMap<Client, usize>,
 }
 
 /// A job that is worked on here.
@@ -89,8 +92,9 @@ impl Jobs {
             bytes,
             share_of_bytes: limits.share_of(bytes.0),
             ttl: ttl.0,
-            most_followers: limits.max_connections.get(),
-            share_of_followers: limits.share_of(limits.max_connections.get() as u64) as usize,
+            most_readers: limits.max_connections.get(),
+            share_of_readers: limits.share_of(limits.max_connections.get() as u64) as usize,
+            patience: limits.answer_idle_timeout,
             here: Mutex::default(),
         }
     }
@@ -280,18 +284,20 @@ impl Jobs {
         counts.into_iter().filter(|(_, count)| *count >= share).map(|(owner, _)| owner).collect()
     }
 
-    /// A client reads one more stream of events, until the guard is dropped; none where it reads
-    /// its share of them, or all are read.
-    pub(crate) fn follow(self: &Arc<Self>, client: Client) -> Option<Following> {
+    /// A client reads one more result or stream of events, until the guard is dropped.
+    ///
+    /// # Errors
+    /// [`ServerError::Spare`] where it reads its share of them, or there are too many in all.
+    pub(crate) fn read(self: &Arc<Self>, client: Client) -> Result<Reader, ServerError> {
         let mut here = self.here();
-        let own = here.followers.get(&client).copied().unwrap_or(0);
-        let within = client == Client::Unknown || own < self.share_of_followers;
-        if !within || here.followers.values().sum::<usize>() >= self.most_followers {
-            return None;
+        let own = here.readers.get(&client).copied().unwrap_or(0);
+        let within = client == Client::Unknown || own < self.share_of_readers;
+        if !within || here.readers.values().sum::<usize>() >= self.most_readers {
+            return Err(ServerError::Spare { retry_after: self.patience });
         }
-        here.followers.insert(client, own + 1);
+        here.readers.insert(client, own + 1);
         drop(here);
-        Some(Following { jobs: Arc::clone(self), client })
+        Ok(Reader { jobs: Arc::clone(self), client })
     }
 
     /// What is written of a job's result, shared by its readers.
@@ -322,26 +328,26 @@ impl Drop for BeingDone {
     }
 }
 
-/// A client reads a stream of events, as long as this lives.
-pub(crate) struct Following {
+/// A client reads a result or a stream of events, as long as this lives.
+pub(crate) struct Reader {
     jobs: Arc<Jobs>,
     client: Client,
 }
 
-impl Following {
-    /// How many streams of events the client reads.
+impl Reader {
+    /// How many the client reads.
     pub(crate) fn of_client(&self) -> usize {
-        self.jobs.here().followers.get(&self.client).copied().unwrap_or(1)
+        self.jobs.here().readers.get(&self.client).copied().unwrap_or(1)
     }
 }
 
-impl Drop for Following {
+impl Drop for Reader {
     fn drop(&mut self) {
         let mut here = self.jobs.here();
-        if let Some(count) = here.followers.get_mut(&self.client) {
+        if let Some(count) = here.readers.get_mut(&self.client) {
             *count -= 1;
             if *count == 0 {
-                here.followers.remove(&self.client);
+                here.readers.remove(&self.client);
             }
         }
     }

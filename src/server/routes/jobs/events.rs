@@ -15,7 +15,7 @@ use tokio::time::{Instant, sleep};
 use super::find::find;
 use crate::server::{
     error::ServerError,
-    jobs::{service::Following, status::JobStatus},
+    jobs::{service::Reader, status::JobStatus},
     layers::{client::Client, envelope::Held},
     response::{documented::JobErrors, negotiate::EVENTS, paced},
     routes::stream::unbuffered,
@@ -24,8 +24,8 @@ use crate::server::{
 
 /// Time between two looks at a job.
 const LOOK_AGAIN: Duration = Duration::from_millis(200);
-/// Streams of one client that look so often. Of more, each looks less often, so that they ask the
-/// database no more often together.
+/// Streams of one client that look so often, its results that are read counted. Of more, each looks
+/// less often, so that they ask the database no more often together.
 const QUICK: usize = 32;
 /// A comment is sent after so much silence, so that proxies keep the connection.
 const LONGEST_SILENCE: Duration = Duration::from_secs(15);
@@ -67,9 +67,7 @@ pub(crate) async fn events(
     let mut head = HeaderMap::new();
     head.insert(header::CONTENT_TYPE, HeaderValue::from_static(EVENTS));
     unbuffered(&mut head);
-    let retry_after = state.limits.answer_idle_timeout;
-    let following = state.jobs.follow(client).ok_or(ServerError::Spare { retry_after })?;
-    let follower = Follower::new(Arc::clone(&state), following, job);
+    let follower = Follower::new(Arc::clone(&state), state.jobs.read(client)?, job);
     let body = paced::from_stream(follower.events(), state.pace());
     Ok((Held::Paced, head, body).into_response())
 }
@@ -80,7 +78,7 @@ struct Follower {
     job: JobRecord,
     told: String,
     told_at: Instant,
-    following: Following,
+    reader: Reader,
 }
 
 /// Time until the next look of each of so many streams of one client.
@@ -89,10 +87,10 @@ fn pause(streams: usize) -> Duration {
 }
 
 impl Follower {
-    fn new(state: SharedState, following: Following, job: JobRecord) -> Self {
+    fn new(state: SharedState, reader: Reader, job: JobRecord) -> Self {
         // Nothing of these is told, and there may be many followers.
         let job = JobRecord { order: String::new(), result: None, ..job };
-        Self { state, job, told: String::new(), told_at: Instant::now(), following }
+        Self { state, job, told: String::new(), told_at: Instant::now(), reader }
     }
 
     fn events(self) -> impl Stream<Item = Bytes> + Send + 'static {
@@ -130,7 +128,7 @@ impl Follower {
                 self.told_at = Instant::now();
                 return (Bytes::from_static(b": still at it\n\n"), true);
             }
-            sleep(pause(self.following.of_client())).await;
+            sleep(pause(self.reader.of_client())).await;
         }
     }
 }
