@@ -130,6 +130,15 @@ impl RequestOptions {
         self.codes.as_ref().map(|codes| codes.upper.len())
     }
 
+    /// The given codes as a text that means the same to a dance of at most `most` of them: no longer
+    /// than it needs be, however they were written.
+    pub(crate) fn shortest_codes(&self, most: usize) -> Option<String> {
+        let first = |half: &[u32]| half.iter().copied().take(most).collect();
+        let Codes { upper, lower } = self.codes.as_ref()?;
+        let codes = Codes { upper: first(upper), lower: first(lower) };
+        serde_json::to_string(&codes).ok()
+    }
+
     /// These options for a dance of `codes`.
     #[must_use]
     pub fn with_codes(self, codes: Codes) -> Self {

@@ -204,6 +204,9 @@ errors! {
             => "the audio is larger than {limit}: up to {lossy} is accepted, up to {lossless} for \
                 wav, aiff and flac";
         UNSUPPORTED_MEDIA_TYPE "unsupported_media_type" UnsupportedMedia(String) => "{0}";
+        UNPROCESSABLE_ENTITY "unusable_rig" RigTooLong { bytes: ByteSize, memory: ByteSize }
+            => "the dance on this rig could take {bytes}, and all answers have {memory}: choose a \
+                shorter part with `duration_s`, a lower `fps`, or a rig with fewer bones";
         SERVICE_UNAVAILABLE "model_stopped" ModelStopped
             => "the model has stopped: the server must be started again";
         NOT_FOUND "no_model_here" NoModel
@@ -322,10 +325,18 @@ impl ServerError {
 
     /// Returns the error as the caller sees it. Faults of our own are logged here, and hidden.
     pub(crate) fn report(&self) -> Report {
+        let report = self.shown();
+        if report.status == StatusCode::INTERNAL_SERVER_ERROR {
+            tracing::error!(error = %self, "request failed");
+        }
+        report
+    }
+
+    /// Returns the error as the caller would see it, and logs nothing: it may not have happened.
+    pub(crate) fn shown(&self) -> Report {
         let (status, error_type) = self.classify();
         let told = matches!(self, Self::Abandoned { .. });
         let message = if status == StatusCode::INTERNAL_SERVER_ERROR && !told {
-            tracing::error!(error = %self, "request failed");
             "something went wrong inside the server: report it with the request_id".to_owned()
         } else {
             self.to_string()

@@ -11,7 +11,7 @@ use super::{
     jobs::options::JobOptions,
     layers::client::Client,
     options::RequestOptions,
-    resources::UploadReservation,
+    resources::{Stay, UploadReservation},
     response::{
         encoding::Encoding,
         negotiate::{self, Shape},
@@ -97,6 +97,11 @@ pub(crate) async fn receive(
         let job = upload.job.clone().unwrap_or_default();
         job.check(&state.callbacks)?;
         let held = (limits, &state.metrics);
+        // Reading takes memory and processors: who sends many characters waits in turn.
+        let _turn = match upload.rig.file {
+            Some(_) => Some(state.resources.writers.admit(client, Stay::Short).await?),
+            None => None,
+        };
         let rig = Rig::read(upload.rig, &upload.options, place.bytes(), held).await?;
         let shape = match &rig {
             Some(_) if purpose != Purpose::Dance => {

@@ -22,6 +22,8 @@ ROWS = {
     "api_key": 13,
     "guard": 15,
     "kill": 16,
+    "strangers": 17,
+    "strangers_jobs": 18,
 }
 
 
@@ -39,7 +41,7 @@ def main():
         went.append((name, word, time.monotonic() - started))
     print()
     for name, word, seconds in went:
-        print(f"row {ROWS[name]:>2}  {name:<10}  {word}, {seconds:.0f} s")
+        print(f"row {ROWS[name]:>2}  {name:<14}  {word}, {seconds:.0f} s")
     sys.exit(any(word != "ok" for _, word, _ in went))
 
 

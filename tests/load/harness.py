@@ -213,7 +213,7 @@ class Server:
                 list(map(str, command)),
                 cwd=ROOT,
                 # Jobs in memory, unless a test names a folder.
-                env=clean_environment(BAILANDO_DATA_DIR="none", **(env or {})),
+                env=clean_environment(**{"BAILANDO_DATA_DIR": "none"} | (env or {})),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=log,

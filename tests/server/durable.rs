@@ -3,7 +3,7 @@
 use std::{
     fs,
     io::{Read, Write},
-    net::TcpListener,
+    net::{TcpListener, TcpStream},
     num::NonZeroUsize,
     path::Path,
     sync::{Arc, atomic::Ordering},
@@ -248,6 +248,31 @@ async fn a_job_that_waits_too_long_expires() {
     stop(api).await;
 }
 
+/// However early its client hangs up, an order is a job, or leaves nothing.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_is_hung_up_leaves_no_files_behind() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let server = server(&fake, in_folder(folder.path()).await, Role::Api).await;
+    let request = post_to("/jobs", "x".repeat(2_000_000).as_bytes());
+    for number in 0..40 {
+        let (address, request) = (server.address, request.clone());
+        let hung_up = tokio::task::spawn_blocking(move || {
+            let mut stream = TcpStream::connect(address).unwrap();
+            stream.write_all(&request).unwrap();
+            thread::sleep(Duration::from_micros(200 * number));
+        });
+        hung_up.await.unwrap();
+    }
+    eventually("all that is kept is of jobs", async || {
+        let jobs = server.expect(get("/jobs?limit=1000"), 200).await;
+        let mut folders = fs::read_dir(folder.path().join("jobs")).into_iter().flatten().flatten();
+        let is_known = |folder: fs::DirEntry| jobs.contains(&*folder.file_name().to_string_lossy());
+        folders.all(is_known).then_some(())
+    })
+    .await;
+    stop(server).await;
+}
+
 /// The store is gone: what needs it is refused, the rest works, and nothing is lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_that_fails_is_a_clear_error_and_loses_nothing() {
@@ -297,19 +322,49 @@ fn listen(statuses: [u16; 2]) -> (u16, thread::JoinHandle<Vec<String>>) {
     (port, calls)
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn the_end_of_a_job_is_told_signed_and_told_again_if_it_was_not_taken() {
-    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
-    let (port, calls) = listen([500, 204]);
+/// A server that calls this machine.
+async fn caller(fake: &Arc<Fake>, folder: &Path) -> Server {
     let callbacks = CallbackPolicy {
         allow: vec!["127.0.0.1".to_owned()],
         secret: "whsec_c2VjcmV0".parse().unwrap(),
         private: true,
     };
-    let storage = in_folder(folder.path()).await;
+    let storage = in_folder(folder).await;
     let jobs = JobSettings { storage, callbacks, ..JobSettings::default() };
     let service = Service { limits: small_limits(), jobs, ..Service::default() };
-    let server = Server::start_with(&fake, service).await;
+    Server::start_with(fake, service).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_host_that_never_answers_keeps_nobody_else_from_being_told() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = silent.local_addr().unwrap().port();
+    let server = caller(&fake, folder.path()).await;
+    for _ in 0..3 {
+        let url = format!("callback_url=http://127.0.0.1:{port}/");
+        let path = order(&server, &url, b"song").await;
+        until(&server, &path, "done").await;
+    }
+    // They are being called.
+    let held = tokio::task::spawn_blocking(move || [(); 3].map(|()| silent.accept().unwrap()));
+    let held = held.await.unwrap();
+    let (port, calls) = listen([204, 204]);
+    for _ in 0..2 {
+        order(&server, &format!("callback_url=http://127.0.0.1:{port}/"), b"song").await;
+    }
+    let started = Instant::now();
+    tokio::task::spawn_blocking(move || calls.join().unwrap()).await.unwrap();
+    assert!(started.elapsed() < Duration::from_secs(5), "they have 10 s each");
+    drop(held);
+    stop(server).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_end_of_a_job_is_told_signed_and_told_again_if_it_was_not_taken() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let (port, calls) = listen([500, 204]);
+    let server = caller(&fake, folder.path()).await;
     let wrong = "/jobs?callback_url=http://elsewhere.example/";
     let refused = server.expect(post_to(wrong, b"song"), 400).await;
     assert!(refused.contains("does not call elsewhere.example"), "{refused}");

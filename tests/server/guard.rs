@@ -9,6 +9,7 @@ use std::{
 
 use axum::{Router, body::Body, http::Request};
 use bailando::server::{Access, ByteSize, Limits, Seconds};
+use tower::ServiceExt;
 
 use super::{
     client::{
@@ -291,6 +292,49 @@ async fn one_client_leaves_jobs_to_the_others() {
     let order = send(&app, of("two", post("/jobs", "", BLOCK))).await;
     assert_eq!(order.status, 202);
     fake.wait_started(1).await;
+    fake.release();
+}
+
+/// As many streams of events as connections, however many an HTTP/2 connection has.
+#[tokio::test]
+async fn one_client_leaves_streams_of_events_to_the_others() {
+    let fake = Fake::new();
+    let limits = Limits { max_connections: count(4), ..Limits::default() };
+    let app = keyed(&fake, &limits);
+    let mut held = Vec::new();
+    let mut follow = async |key: &str, status: u16| {
+        let order = send(&app, of(key, post("/jobs", "", BLOCK))).await;
+        let path = format!("{}/events", order.header("location"));
+        let request = of(key, Request::get(path).body(Body::empty()).unwrap());
+        let answer = app.clone().oneshot(request).await.unwrap();
+        assert_eq!(answer.status(), status);
+        held.push(answer);
+    };
+    for status in [200, 200, 200, 503] {
+        follow("one", status).await;
+    }
+    follow("two", 200).await;
+    follow("two", 503).await;
+    held.clear();
+    fake.release();
+}
+
+#[tokio::test]
+async fn one_client_leaves_bytes_for_jobs_to_the_others() {
+    let fake = Fake::new();
+    let limits = Limits { job_bytes: ByteSize(4_000_000), ..Limits::default() };
+    let app = keyed(&fake, &limits);
+    // What comes after it waits: it takes the client's share of the workers.
+    assert_eq!(send(&app, of("one", post("/jobs", "", BLOCK))).await.status, 202);
+    fake.wait_started(1).await;
+    let song = vec![0; 1_000_000];
+    for _ in 0..3 {
+        let order = send(&app, of("one", post("/jobs", "", song.clone()))).await;
+        assert_eq!(order.status, 202);
+    }
+    let more = send(&app, of("one", post("/jobs", "", song.clone()))).await;
+    more.expect_error(503, "job_bytes");
+    assert_eq!(send(&app, of("two", post("/jobs", "", song))).await.status, 202);
     fake.release();
 }
 

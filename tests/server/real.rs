@@ -37,8 +37,12 @@ static MODEL: LazyLock<Engine> = LazyLock::new(|| {
 });
 
 pub(crate) fn service() -> Router {
+    service_within(Limits::default())
+}
+
+pub(crate) fn service_within(limits: Limits) -> Router {
     let engine: Arc<dyn Generate> = Arc::new(MODEL.clone());
-    router(engine, Limits::default(), Access::default())
+    router(engine, limits, Access::default())
 }
 
 fn codes(answer: &Answer) -> Value {

@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::server::{
     client::{app, form, post, refuse, send, with},
     fake::Fake,
-    real::service,
+    real::{service, service_within},
 };
 
 #[tokio::test(flavor = "multi_thread")]
@@ -88,6 +88,22 @@ async fn what_cannot_dance_is_refused_before_anything_else_is_done() {
         *request.body_mut() = form.into_body();
         let error = refuse(&app, request, 400, "invalid_multipart").await;
         assert!(error.contains("`rig` goes with POST /generate alone"), "{error}");
+    }
+}
+
+/// Thousands of joints for ten minutes would be gigabytes of text.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_dance_that_all_answers_have_no_room_for_is_not_written() {
+    let (rig, song) = (rigs::bvh_of_60_joints().bytes, song("demo.ogg"));
+    let parts: [(&str, &[u8]); 2] = [("rig", &rig), ("file", &song)];
+    for (memory, status) in [(500_000, 422_u16), (5_000_000, 200)] {
+        let limits = Limits { answer_memory: ByteSize(memory), ..Limits::default() };
+        let answer = send(&service_within(limits), form("duration_s=2", &parts)).await;
+        assert_eq!(answer.status.as_u16(), status, "{memory}");
+        if status == 422 {
+            let said = answer.expect_error(422, "unusable_rig");
+            assert!(said.contains("all answers have 500kB"), "{said}");
+        }
     }
 }
 

@@ -10,7 +10,8 @@ macro_rules! due {
     ($lock:literal) => {
         concat!(
             "UPDATE jobs SET callback_after = $1, callback_tries = callback_tries + 1 WHERE id = (\
-             SELECT id FROM jobs WHERE callback_after <= $2 ORDER BY callback_after LIMIT 1",
+             SELECT id FROM jobs WHERE callback_after <= $2 \
+             AND $3 NOT LIKE '%|' || owner || '|%' ORDER BY callback_after LIMIT 1",
             $lock,
             ") RETURNING *"
         )
@@ -18,18 +19,23 @@ macro_rules! due {
 }
 
 impl JobTable {
-    /// Takes a job whose end is to be reported now. It is taken again after `lease`, unless
-    /// [`JobTable::reported`] says how it went.
+    /// Takes a job whose end is to be reported now, of none of the owners that are `full`. It is
+    /// taken again after `lease`, unless [`JobTable::reported`] says how it went.
     ///
     /// # Errors
     /// As [`JobTable::find`].
-    pub async fn due_callback(&self, lease: Duration) -> Result<Option<JobRecord>, JobsError> {
+    pub async fn due_callback(
+        &self,
+        lease: Duration,
+        full: &[String],
+    ) -> Result<Option<JobRecord>, JobsError> {
         let statement = match self.database.kind {
             Kind::Sqlite => due!(""),
             Kind::Postgres => due!(" FOR UPDATE SKIP LOCKED"),
         };
-        let now = now();
-        self.record(sqlx::query(statement).bind(after(now, lease)).bind(now)).await
+        let (now, full) = (now(), format!("|{}|", full.join("|")));
+        let due = sqlx::query(statement).bind(after(now, lease)).bind(now).bind(full);
+        self.record(due).await
     }
 
     /// Says that the end of a job was reported, or will be tried again after `again`.

@@ -42,7 +42,9 @@ impl Files {
         fs::create_dir_all(folder).map_err(refuse)?;
         let probe = folder.join(format!(".probe-{}", std::process::id()));
         fs::write(&probe, b"").and_then(|()| fs::remove_file(&probe)).map_err(refuse)?;
-        let store = LocalFileSystem::new_with_prefix(folder)?.with_fsync(true);
+        let store = LocalFileSystem::new_with_prefix(folder)?;
+        // Every job has a folder, which goes with the last of its files.
+        let store = store.with_fsync(true).with_automatic_cleanup(true);
         Ok(Self { store: Arc::new(store), shared: false, folder: Some(folder.into()) })
     }
 

@@ -39,7 +39,8 @@ pub struct Reached {
     pub codes_total: i64,
 }
 
-/// By priority; among equals the owner with the fewest jobs in work is next; then the first.
+/// By priority; among equals the owner with the fewest jobs in work is next; then the first. One
+/// that has never failed waits for nothing, whenever it was ordered by a clock that was ahead.
 macro_rules! claim {
     ($lock:literal) => {
         concat!(
@@ -47,7 +48,7 @@ macro_rules! claim {
              started_at = $3, codes_done = 0, codes_total = 0, stage = NULL WHERE id = (\
              SELECT j.id FROM jobs j LEFT JOIN (SELECT owner, COUNT(*) AS jobs FROM jobs \
              WHERE state = 'running' GROUP BY owner) busy ON busy.owner = j.owner \
-             WHERE ((j.state = 'queued' AND j.run_after <= $3 \
+             WHERE ((j.state = 'queued' AND (j.run_after <= $3 OR j.faults = 0) \
              AND (j.expires_at IS NULL OR j.expires_at > $3)) \
              OR (j.state = 'running' AND j.lease_until < $3)) AND j.starts < $4 \
              AND $5 NOT LIKE '%|' || j.owner || '|%' \
@@ -136,7 +137,7 @@ impl JobTable {
         reached: &Reached,
     ) -> Result<bool, JobsError> {
         const CHANGE: &str = "UPDATE jobs SET state = 'done', result_json = $1, result_bytes = $2, \
-             order_bytes = 0, finished_at = $3, lease = NULL, lease_until = NULL, stage = NULL, \
+             order_bytes = LENGTH(order_json), finished_at = $3, lease = NULL, lease_until = NULL, stage = NULL, \
              codes_done = $4, codes_total = $5, \
              callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($3 AS BIGINT) END \
              WHERE id = $6 AND lease = $7";
@@ -156,8 +157,8 @@ impl JobTable {
     /// # Errors
     /// [`JobsError::Database`].
     pub async fn fail(&self, lease: &Lease, error: String) -> Result<bool, JobsError> {
-        const CHANGE: &str = "UPDATE jobs SET state = 'failed', error_json = $1, order_bytes = 0, \
-             finished_at = $2, lease = NULL, lease_until = NULL, stage = NULL, \
+        const CHANGE: &str = "UPDATE jobs SET state = 'failed', error_json = $1, \
+             order_bytes = LENGTH(order_json), finished_at = $2, lease = NULL, lease_until = NULL, stage = NULL, \
              callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
              WHERE id = $3 AND lease = $4";
         let change = sqlx::query(CHANGE)

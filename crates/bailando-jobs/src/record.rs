@@ -152,7 +152,7 @@ pub struct JobRecord {
     pub idempotency_key: Option<String>,
     /// As in [`NewJob`].
     pub order: String,
-    /// As in [`NewJob`].
+    /// Bytes of the order, and of the song while it is needed.
     pub order_bytes: i64,
     /// The result, as JSON, once it is done.
     pub result: Option<String>,

@@ -6,7 +6,7 @@ use super::{JobsError, kind::Kind};
 
 /// One step from a version of the schema to the next. All values are integers of 64 bits or texts,
 /// so that both databases run the same statements; times are milliseconds since 1970.
-const STEPS: [&[&str]; 2] = [
+const STEPS: [&[&str]; 3] = [
     &[
         "CREATE TABLE jobs (
             id TEXT PRIMARY KEY,
@@ -49,6 +49,8 @@ const STEPS: [&[&str]; 2] = [
         "ALTER TABLE jobs ADD COLUMN callback_tries BIGINT NOT NULL DEFAULT 0",
         "CREATE INDEX jobs_callbacks ON jobs (callback_after)",
     ],
+    // What is kept is counted with every order, without reading the orders themselves.
+    &["CREATE INDEX jobs_kept ON jobs (owner, order_bytes, result_bytes)"],
 ];
 
 /// The version that this release reads and writes.

@@ -22,8 +22,10 @@ pub struct Kept {
     pub jobs: i64,
     /// Jobs of the owner that was asked about.
     pub own: i64,
-    /// Bytes of all songs and results.
+    /// Bytes of all orders, songs and results.
     pub bytes: i64,
+    /// Bytes of those of the owner that was asked about.
+    pub own_bytes: i64,
 }
 
 /// What [`JobTable::insert`] did.
@@ -48,6 +50,17 @@ pub struct Listing {
     pub most: u32,
     /// Jobs that finished before this time are gone.
     pub finished_since: Millis,
+}
+
+/// The columns that say how far a job is: not what was ordered, nor what is known of the result,
+/// which may be long.
+macro_rules! brief {
+    () => {
+        "id, owner, request_id, state, priority, created_at, run_after, expires_at, started_at, \
+         finished_at, fetched_at, starts, faults, stage, codes_done, codes_total, model, \
+         content_key, idempotency_key, CAST('' AS TEXT) AS order_json, order_bytes, \
+         CAST('' AS TEXT) AS result_json, result_bytes, error_json, callback_url, callback_tries"
+    };
 }
 
 type Statement = Query<'static, Any, sqlx::any::AnyArguments>;
@@ -121,6 +134,7 @@ impl JobTable {
              VALUES ($1, $2, $3, $4, $5, $6, $6, $7, $8, 0, 0, 0, 0, $9, $10, $11, $12, $13, $14, \
              $15, $16, $17) ON CONFLICT (owner, idempotency_key) DO NOTHING";
         let (now, done) = (now(), job.result.is_some());
+        let text = i64::try_from(job.order.len()).unwrap_or(i64::MAX);
         let (result, result_bytes) = job.result.unzip();
         let kept = sqlx::query(INSERT)
             .bind(job.id.to_string())
@@ -135,7 +149,7 @@ impl JobTable {
             .bind(job.content_key)
             .bind(job.idempotency_key.clone())
             .bind(job.order)
-            .bind(job.order_bytes)
+            .bind(job.order_bytes.saturating_add(text))
             .bind(result)
             .bind(result_bytes.unwrap_or(0))
             .bind(job.callback_url.clone())
@@ -161,6 +175,15 @@ impl JobTable {
     pub async fn find(&self, id: Uuid) -> Result<Option<JobRecord>, JobsError> {
         let find = "SELECT * FROM jobs WHERE id = $1";
         self.record(sqlx::query(find).bind(id.to_string())).await
+    }
+
+    /// Finds how far a job is: its record without `order` and `result`, which are empty.
+    ///
+    /// # Errors
+    /// As [`JobTable::find`].
+    pub async fn look(&self, id: Uuid) -> Result<Option<JobRecord>, JobsError> {
+        let look = concat!("SELECT ", brief!(), " FROM jobs WHERE id = $1");
+        self.record(sqlx::query(look).bind(id.to_string())).await
     }
 
     /// Finds the job of an owner's idempotency key.
@@ -191,15 +214,20 @@ impl JobTable {
         self.record(find).await
     }
 
-    /// Lists jobs, the latest first. A record that cannot be read is left out, and logged.
+    /// Lists jobs, the latest first, as [`JobTable::look`] finds them. A record that cannot be read
+    /// is left out, and logged.
     ///
     /// # Errors
     /// [`JobsError::Database`].
     pub async fn list(&self, listing: Listing) -> Result<Vec<JobRecord>, JobsError> {
-        const LIST: &str = "SELECT * FROM jobs WHERE owner = $1 AND (state = $2 OR $2 = '') \
+        const LIST: &str = concat!(
+            "SELECT ",
+            brief!(),
+            " FROM jobs WHERE owner = $1 AND (state = $2 OR $2 = '') \
              AND (created_at < $3 OR (created_at = $3 AND id < $4)) \
              AND (finished_at IS NULL OR finished_at >= $5) \
-             ORDER BY created_at DESC, id DESC LIMIT $6";
+             ORDER BY created_at DESC, id DESC LIMIT $6"
+        );
         let (before, id) = match listing.before {
             Some((before, id)) => (before, id.to_string()),
             None => (Millis::MAX, String::new()),
@@ -243,11 +271,18 @@ impl JobTable {
     pub async fn kept(&self, owner: &str) -> Result<Kept, JobsError> {
         const COUNT: &str = "SELECT COUNT(*), \
              CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN 1 ELSE 0 END), 0) AS BIGINT), \
-             CAST(COALESCE(SUM(order_bytes + result_bytes), 0) AS BIGINT) FROM jobs";
+             CAST(COALESCE(SUM(order_bytes + result_bytes), 0) AS BIGINT), \
+             CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN order_bytes + result_bytes ELSE 0 END), 0) \
+             AS BIGINT) FROM jobs";
         let Some(row) = self.row(sqlx::query(COUNT).bind(owner.to_owned())).await? else {
             return Ok(Kept::default());
         };
-        Ok(Kept { jobs: row.try_get(0)?, own: row.try_get(1)?, bytes: row.try_get(2)? })
+        Ok(Kept {
+            jobs: row.try_get(0)?,
+            own: row.try_get(1)?,
+            bytes: row.try_get(2)?,
+            own_bytes: row.try_get(3)?,
+        })
     }
 
     /// Counts the queued jobs that begin before this one, if none of higher priority come.

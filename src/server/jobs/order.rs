@@ -37,18 +37,25 @@ pub(crate) struct Prepared {
 }
 
 impl StoredOrder {
-    /// Prepares an order of a dance to a song. A seed that was left open is drawn here.
+    /// Prepares an order of a dance to a song, of at most `most_codes`. A seed that was left open is
+    /// drawn here.
     pub(crate) fn prepare(
         options: &RequestOptions,
         format: OutputFormat,
         audio: &[u8],
         model: &str,
+        most_codes: usize,
     ) -> Prepared {
+        let text = |name: &str, given: &str| match name {
+            // Up to a megabyte as they came, and the table has thousands of orders.
+            "codes" => options.shortest_codes(most_codes).unwrap_or_else(|| given.to_owned()),
+            _ => given.to_owned(),
+        };
         let mut pairs: Vec<(Cow<'static, str>, String)> = options
             .given()
             .iter()
             .filter(|(name, _)| *name != "format")
-            .map(|(name, text)| (Cow::Borrowed(*name), text.clone()))
+            .map(|(name, given)| (Cow::Borrowed(*name), text(name, given)))
             .collect();
         pairs.sort();
         let song = Sha256::digest(audio);
@@ -184,7 +191,21 @@ mod tests {
         for (name, text) in options {
             given.set(name, text).unwrap();
         }
-        StoredOrder::prepare(&given, OutputFormat::Bvh, audio, model)
+        StoredOrder::prepare(&given, OutputFormat::Bvh, audio, model, 3)
+    }
+
+    #[test]
+    fn codes_are_kept_as_far_as_they_can_be_danced() {
+        let spaced = format!("[[1, 2], [3,{}4]]", " ".repeat(9000));
+        let long = "{\"codes\":{\"upper\":[1,3,5,7,9],\"lower\":[2,4,6,8,10]},\"positions\":[[]]}";
+        for (given, count, kept) in [
+            (spaced.as_str(), 2, "{\"upper\":[1,3],\"lower\":[2,4]}"),
+            (long, 3, "{\"upper\":[1,3,5],\"lower\":[2,4,6]}"),
+        ] {
+            let order = prepared(&[("codes", given)], b"", "model").order;
+            assert!(order.options.contains(&("codes".into(), kept.to_owned())), "{order:?}");
+            assert_eq!(order.read().unwrap().0.given_codes(), Some(count));
+        }
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! All jobs: kept in the table, with their files, within limits.
 
 use std::{
-    collections::HashMap,
+    collections::{HashMap, hash_map::Entry},
     sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError},
     time::Duration,
 };
@@ -40,7 +40,14 @@ pub(crate) struct Jobs {
     most: usize,
     share: usize,
     bytes: ByteSize,
+    share_of_bytes: u64,
     ttl: Duration,
+    /// Results and streams of events that are read at the same time: each holds about what a
+    /// connection does, and a descriptor.
+    most_readers: usize,
+    share_of_readers: usize,
+    /// Time in which a reader that takes nothing is given up.
+    patience: Seconds,
     // Held only to look up, to put or to take out.
     here: Mutex<Here>,
 }
@@ -55,6 +62,8 @@ struct Here {
     fetched: Vec<Uuid>,
     /// When somebody asked about a job last, where it ends with the process.
     asked: HashMap<Uuid, Instant>,
+    /// How many results and streams of events each client reads.
+    readers: HashMap<Client, usize>,
 }
 
 /// A job that is worked on here.
@@ -70,7 +79,7 @@ impl Jobs {
     pub(crate) fn new(storage: JobStorage, limits: &Limits) -> Self {
         let JobStorage { table, files, durable } = storage;
         let most = limits.max_jobs.get();
-        let in_memory = |kept: ByteSize| if durable { kept } else { kept.min(MEMORY) };
+        let bytes = if durable { limits.job_bytes } else { limits.job_bytes.min(MEMORY) };
         let ttl = if durable { limits.job_ttl } else { limits.job_ttl.min(MEMORY_TTL) };
         Self {
             table,
@@ -80,8 +89,12 @@ impl Jobs {
             owners: OnceLock::new(),
             most,
             share: limits.share_of(most as u64) as usize,
-            bytes: in_memory(limits.job_bytes),
+            bytes,
+            share_of_bytes: limits.share_of(bytes.0),
             ttl: ttl.0,
+            most_readers: limits.max_connections.get(),
+            share_of_readers: limits.share_of(limits.max_connections.get() as u64) as usize,
+            patience: limits.answer_idle_timeout,
             here: Mutex::default(),
         }
     }
@@ -143,8 +156,10 @@ impl Jobs {
         self.expire().await?;
         let kept = self.table.kept(owner).await?;
         let count = |jobs: i64| usize::try_from(jobs).unwrap_or(0);
-        let within = Owners::is_unknown(owner) || count(kept.own) < self.share;
-        let fits = u64::try_from(kept.bytes).unwrap_or(0) < self.bytes.0;
+        let bytes = |bytes: i64| u64::try_from(bytes).unwrap_or(0);
+        let own_fits = bytes(kept.own_bytes) < self.share_of_bytes;
+        let within = Owners::is_unknown(owner) || (count(kept.own) < self.share && own_fits);
+        let fits = bytes(kept.bytes) < self.bytes.0 && (within || own_fits);
         if within && fits && count(kept.jobs) < self.most {
             return Ok(None);
         }
@@ -169,9 +184,20 @@ impl Jobs {
     /// # Errors
     /// [`ServerError::JobStore`].
     pub(crate) async fn find(&self, id: Uuid) -> Result<Option<JobRecord>, ServerError> {
-        let job = self.table.find(id).await?;
+        Ok(self.unexpired(self.table.find(id).await?))
+    }
+
+    /// Finds how far a job is, without the texts of order and result.
+    ///
+    /// # Errors
+    /// [`ServerError::JobStore`].
+    pub(crate) async fn look(&self, id: Uuid) -> Result<Option<JobRecord>, ServerError> {
+        Ok(self.unexpired(self.table.look(id).await?))
+    }
+
+    fn unexpired(&self, job: Option<JobRecord>) -> Option<JobRecord> {
         let since = self.finished_since();
-        Ok(job.filter(|job| job.finished_at.is_none_or(|finished| finished >= since)))
+        job.filter(|job| job.finished_at.is_none_or(|finished| finished >= since))
     }
 
     /// Stops a job, deletes its files and forgets it; whether there was one.
@@ -237,8 +263,9 @@ impl Jobs {
 
     /// A job is worked on here, until the guard is dropped.
     pub(crate) fn begin(self: &Arc<Self>, id: Uuid, running: Running) -> BeingDone {
+        let tracker = Arc::clone(&running.tracker);
         self.here().running.insert(id, running);
-        BeingDone { jobs: Arc::clone(self), id }
+        BeingDone { jobs: Arc::clone(self), id, tracker }
     }
 
     /// The work on a job, if it is done here.
@@ -257,6 +284,22 @@ impl Jobs {
         counts.into_iter().filter(|(_, count)| *count >= share).map(|(owner, _)| owner).collect()
     }
 
+    /// A client reads one more result or stream of events, until the guard is dropped.
+    ///
+    /// # Errors
+    /// [`ServerError::Spare`] where it reads its share of them, or there are too many in all.
+    pub(crate) fn read(self: &Arc<Self>, client: Client) -> Result<Reader, ServerError> {
+        let mut here = self.here();
+        let own = here.readers.get(&client).copied().unwrap_or(0);
+        let within = client == Client::Unknown || own < self.share_of_readers;
+        if !within || here.readers.values().sum::<usize>() >= self.most_readers {
+            return Err(ServerError::Spare { retry_after: self.patience });
+        }
+        here.readers.insert(client, own + 1);
+        drop(here);
+        Ok(Reader { jobs: Arc::clone(self), client })
+    }
+
     /// What is written of a job's result, shared by its readers.
     pub(crate) fn answers(&self, id: Uuid) -> Arc<Answers> {
         let mut here = self.here();
@@ -270,11 +313,43 @@ impl Jobs {
 pub(crate) struct BeingDone {
     jobs: Arc<Jobs>,
     id: Uuid,
+    tracker: Arc<RequestTracker>,
 }
 
 impl Drop for BeingDone {
     fn drop(&mut self) {
-        self.jobs.here().running.remove(&self.id);
+        let mut here = self.jobs.here();
+        // Where the clock was set forward, another worker here may have begun it again.
+        if let Entry::Occupied(running) = here.running.entry(self.id)
+            && Arc::ptr_eq(&running.get().tracker, &self.tracker)
+        {
+            running.remove();
+        }
+    }
+}
+
+/// A client reads a result or a stream of events, as long as this lives.
+pub(crate) struct Reader {
+    jobs: Arc<Jobs>,
+    client: Client,
+}
+
+impl Reader {
+    /// How many the client reads.
+    pub(crate) fn of_client(&self) -> usize {
+        self.jobs.here().readers.get(&self.client).copied().unwrap_or(1)
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        let mut here = self.jobs.here();
+        if let Some(count) = here.readers.get_mut(&self.client) {
+            *count -= 1;
+            if *count == 0 {
+                here.readers.remove(&self.client);
+            }
+        }
     }
 }
 

@@ -33,7 +33,8 @@ pub(crate) struct Resources {
     pub(crate) audio: Budget,
     /// Bytes of responses that may wait for their readers.
     responses: Budget,
-    /// Results of jobs that may be written at the same time, and those that wait for it.
+    /// Results of jobs that may be written, and characters that may be read, at the same time; and
+    /// those that wait for it.
     pub(crate) writers: Admission,
     memory: ByteSize,
     /// Time after which a client that reads too little gives its memory back.
@@ -111,6 +112,18 @@ impl Resources {
         match self.responses.is_share_left(client) {
             true => Ok(()),
             false => Err(self.unread()),
+        }
+    }
+
+    /// Refuses an answer on a rig that would take more than there is for all of them.
+    ///
+    /// # Errors
+    /// [`ServerError::RigTooLong`].
+    pub(crate) fn check_fits(&self, bytes: usize) -> Result<(), ServerError> {
+        let (bytes, memory) = (ByteSize(bytes as u64), self.memory);
+        match bytes > memory {
+            true => Err(ServerError::RigTooLong { bytes, memory }),
+            false => Ok(()),
         }
     }
 

@@ -50,10 +50,11 @@ impl Written {
     }
 
     /// [`Self::new`] on the bones of a character, whose feet are held where they stand if they are
-    /// to be planted.
+    /// to be planted. The caller chooses how many bones there are, so that what all answers have
+    /// may be too little for one.
     ///
     /// # Errors
-    /// As [`Self::new`].
+    /// As [`Self::new`]; [`ServerError::RigTooLong`].
     pub(crate) async fn on_rig(
         held: (&Resources, &SharedMetrics),
         client: Client,
@@ -62,6 +63,7 @@ impl Written {
         (character, planted, encoding): (Arc<Character>, bool, Encoding),
     ) -> Result<Arc<Self>, ServerError> {
         let most = character.most_bytes(dance.animation.root.len());
+        held.0.check_fits(most)?;
         let write = move || character.dance(&dance, planted);
         Self::of(held, client, work, (most, encoding), write).await
     }

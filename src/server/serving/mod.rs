@@ -2,6 +2,8 @@
 
 mod connection;
 pub(crate) mod cut;
+#[cfg(unix)]
+mod descriptors;
 mod heads;
 mod idle_stream;
 pub(crate) mod lifecycle;

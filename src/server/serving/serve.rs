@@ -227,6 +227,8 @@ pub fn start(config: &ServerConfig) -> Result<(), ServeError> {
     config.limits.check()?;
     config.storage.check()?;
     let access = config.access()?;
+    #[cfg(unix)]
+    super::descriptors::raise(&config.limits);
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()

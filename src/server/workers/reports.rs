@@ -1,12 +1,16 @@
 //! Tells the callback URLs of jobs that they have ended.
 
-use std::time::Duration;
+use std::{collections::HashMap, time::Duration};
 
 use bailando_jobs::{JobRecord, now};
+use futures_util::{StreamExt, stream::FuturesUnordered};
 use reqwest::{Client, header::CONTENT_TYPE};
 use tokio::time::sleep;
 
-use crate::server::{jobs::status::JobStatus, state::SharedState};
+use crate::server::{
+    jobs::{owners::Owners, status::JobStatus},
+    state::SharedState,
+};
 
 /// Time between two looks for ends to report.
 const LOOK_AGAIN: Duration = Duration::from_secs(1);
@@ -14,6 +18,9 @@ const LOOK_AGAIN: Duration = Duration::from_secs(1);
 const LEASE: Duration = Duration::from_secs(30);
 /// Waits between two tries, as Standard Webhooks recommends; after the last one it is given up.
 const WAITS: [u64; 6] = [5, 60, 300, 1_800, 7_200, 18_000];
+/// Calls at the same time, of which one owner has its share: a host that takes a call and never
+/// answers keeps nobody else from being told.
+const CALLS: usize = 16;
 
 /// Reports until the process stops.
 pub(super) async fn report(state: SharedState) {
@@ -25,20 +32,45 @@ pub(super) async fn report(state: SharedState) {
         }
     };
     let stopping = state.lifecycle.stopping();
+    let share = state.limits.share_of(CALLS as u64) as usize;
+    let mut calls = FuturesUnordered::new();
+    let mut busy: HashMap<String, usize> = HashMap::new();
     while !stopping.is_cancelled() {
-        match state.jobs.table.due_callback(LEASE).await {
+        let full = busy.iter().filter(|(_, calls)| **calls >= share);
+        let full: Vec<String> = full.map(|(owner, _)| owner.clone()).collect();
+        let due = match calls.len() < CALLS {
+            true => state.jobs.table.due_callback(LEASE, &full).await,
+            false => Ok(None),
+        };
+        match due {
             Ok(Some(job)) => {
-                tell(&state, &client, &job).await;
+                if !Owners::is_unknown(&job.owner) {
+                    *busy.entry(job.owner.clone()).or_default() += 1;
+                }
+                calls.push(told(&state, &client, job));
                 continue;
             }
             Ok(None) => {}
             Err(error) => tracing::warn!(%error, "ends of jobs cannot be reported"),
         }
         tokio::select! {
+            Some(owner) = calls.next() => {
+                if let Some(own) = busy.get_mut(&owner) {
+                    *own -= 1;
+                }
+                busy.retain(|_, own| *own > 0);
+            }
             () = sleep(LOOK_AGAIN) => {}
             () = stopping.cancelled() => {}
         }
     }
+    while calls.next().await.is_some() {}
+}
+
+/// Tells the end of a job; whose it is.
+async fn told(state: &SharedState, client: &Client, job: JobRecord) -> String {
+    tell(state, client, &job).await;
+    job.owner
 }
 
 async fn tell(state: &SharedState, client: &Client, job: &JobRecord) {

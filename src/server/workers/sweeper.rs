@@ -53,7 +53,7 @@ pub(super) async fn sweep(state: SharedState) {
 async fn once(state: &SharedState) -> Result<(), ServerError> {
     let starts = state.limits.job_starts.get();
     let abandoned = ServerError::Abandoned { starts };
-    let text = |error: &ServerError| to_text(&StoredError::new(&error.report()));
+    let text = |error: &ServerError| to_text(&StoredError::new(&error.shown()));
     let (expired, abandoned) = (text(&ServerError::JobExpired)?, text(&abandoned)?);
     let most = i64::try_from(starts).unwrap_or(i64::MAX);
     let table = &state.jobs.table;

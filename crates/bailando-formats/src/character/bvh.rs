@@ -5,7 +5,7 @@ use std::fmt::Write;
 use glam::{DQuat, DVec3};
 
 use super::{
-    limits::RigLimits,
+    limits::{RigLimits, check_name},
     pose::Poses,
     refusal::{problem, short},
     tree::{Bone, Tree},
@@ -14,8 +14,12 @@ use crate::{decimal::push_decimal, error::FormatError, euler::RotationOrder};
 
 /// Most channels of one joint: three of place and three of rotation.
 const MOST_CHANNELS: usize = 6;
+/// Longest line of a hierarchy in bytes.
+const LONGEST_LINE: usize = 64 * 1024;
 /// Decimals of lengths and of degrees.
 const DECIMALS: usize = 6;
+/// Longest part of an OFFSET: it is written with every frame, and must not have hundreds of digits.
+const FARTHEST: f64 = 1e6;
 /// What a frame of one joint with three channels takes, about, in bytes.
 const BYTES_PER_JOINT: usize = 45;
 
@@ -48,6 +52,9 @@ pub(super) fn read(bytes: Vec<u8>, limits: &RigLimits) -> Result<(BvhFile, Tree)
     let mut at = 0;
     let mut motion = None;
     for line in bytes.split_inclusive(|&byte| byte == b'\n' || byte == b'\r') {
+        if line.len() > LONGEST_LINE {
+            return problem(format!("the BVH file's hierarchy has a line of {} bytes", line.len()));
+        }
         let text = String::from_utf8_lossy(line);
         if text.trim().eq_ignore_ascii_case("MOTION") {
             motion = Some(at);
@@ -122,6 +129,7 @@ impl<'a> Reader<'a> {
             return problem("the BVH file has several roots, or a joint without braces");
         }
         self.limits.check_bones(self.bones.len() + 1)?;
+        check_name(name)?;
         self.announced = Some(self.bones.len());
         self.channels.push(Vec::new());
         self.bones.push(Bone {
@@ -147,13 +155,15 @@ impl<'a> Reader<'a> {
         let numbers: Vec<f64> =
             text.split_whitespace().take(4).filter_map(|word| word.parse().ok()).collect();
         match numbers.as_slice() {
-            &[x, y, z] if [x, y, z].iter().all(|v| v.is_finite()) => {
+            &[x, y, z] if [x, y, z].iter().all(|v| v.abs() <= FARTHEST) => {
                 self.bones[bone].place = DVec3::new(x, y, z);
                 Ok(())
             }
             _ => {
                 let (name, text) = (short(&self.bones[bone].name), short(text));
-                problem(format!("the OFFSET of `{name}` is `{text}`, not three numbers"))
+                problem(format!(
+                    "the OFFSET of `{name}` is `{text}`, not three numbers of at most {FARTHEST}"
+                ))
             }
         }
     }

@@ -6,7 +6,7 @@ use serde_json::{json, value::RawValue};
 
 use super::{
     container::{ALIGNMENT, Chunks, chunks},
-    limits::RigLimits,
+    limits::{RigLimits, check_name},
     parts::Parts,
     pose::Poses,
     refusal::problem,
@@ -137,6 +137,7 @@ fn tree(root: &Document<'_>, limits: &RigLimits) -> Result<Tree, FormatError> {
     let mut bones = Vec::with_capacity(nodes.len());
     for (index, node) in nodes.iter().enumerate() {
         let (place, turn, scale) = rest(index, node)?;
+        check_name(&node.name)?;
         bones.push(Bone {
             name: node.name.clone(),
             parent: parents[index],

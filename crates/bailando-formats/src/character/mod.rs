@@ -16,6 +16,7 @@ mod tree;
 mod vrm;
 
 use bailando_motion::{BodyPart, Retargeter};
+use glam::DQuat;
 
 pub use limits::RigLimits;
 pub use mapping::{BoneNames, FoundBy, RigMapping};
@@ -127,13 +128,16 @@ impl Character {
         }
     }
 
-    /// Returns about the most bytes of its file with a dance of so many frames.
+    /// Returns about the most bytes that a dance of so many frames takes while it is written: its
+    /// file, and two rotations of every bone that dances in every frame, in the world and its own.
     #[must_use]
     pub fn most_bytes(&self, frames: usize) -> usize {
-        match &self.file {
+        let bones: usize = self.parts.values().map(Vec::len).sum();
+        let turns = frames.saturating_mul(2 * size_of::<DQuat>() * bones);
+        turns.saturating_add(match &self.file {
             File::Bvh(file) => file.most_bytes(frames),
             File::Glb(file) => file.most_bytes(&self.parts, frames),
-        }
+        })
     }
 
     /// Writes its file with a dance: BVH with the dance as its motion, GLB and VRM with one more

@@ -1,5 +1,7 @@
 //! The bones of a file: names, hierarchy and rest pose.
 
+use std::collections::HashMap;
+
 use glam::{DQuat, DVec3};
 
 use super::refusal::{problem, short};
@@ -33,6 +35,8 @@ pub(super) struct Tree {
     scales: Vec<f64>,
     /// Whether scales stretch a bone's children unevenly.
     uneven: Vec<bool>,
+    /// Whether a bone's name is that of no other.
+    is_named: Vec<bool>,
 }
 
 impl Tree {
@@ -60,6 +64,7 @@ impl Tree {
             turns: vec![DQuat::IDENTITY; count],
             scales: vec![1.0; count],
             uneven: vec![false; count],
+            is_named: own_names(&bones),
             bones,
             children,
             order,
@@ -143,11 +148,9 @@ impl Tree {
     /// Returns the name by which a mapping knows a bone: its own, or its number in the file where
     /// that is no name of its own.
     pub(super) fn label(&self, bone: usize) -> String {
-        let name = &self.bones[bone].name;
-        let same = |other: &&Bone| other.name == *name;
-        match name.is_empty() || self.bones.iter().filter(same).count() > 1 {
-            true => format!("#{bone}"),
-            false => name.clone(),
+        match self.is_named[bone] {
+            true => self.bones[bone].name.clone(),
+            false => format!("#{bone}"),
         }
     }
 
@@ -173,4 +176,14 @@ impl Tree {
             )),
         }
     }
+}
+
+/// Whether each bone has a name that no other has. Counted once: a caller's rig may have thousands
+/// of long names that hardly differ.
+fn own_names(bones: &[Bone]) -> Vec<bool> {
+    let mut counts: HashMap<&str, usize> = HashMap::new();
+    for bone in bones {
+        *counts.entry(&bone.name).or_default() += 1;
+    }
+    bones.iter().map(|bone| !bone.name.is_empty() && counts[bone.name.as_str()] == 1).collect()
 }

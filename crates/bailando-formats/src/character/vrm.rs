@@ -1,17 +1,24 @@
 //! The humanoid bones of VRM 0.x and 1.0.
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, fmt};
 
 use bailando_motion::{BodyPart, Side};
-use serde::Deserialize;
+use serde::{
+    Deserialize, Deserializer,
+    de::{Error, MapAccess, Visitor},
+};
 use serde_json::value::RawValue;
 
 use super::{
     parts::{PAIRED, Parts},
     refusal::{problem, short},
+    splice,
     tree::Tree,
 };
 use crate::error::FormatError;
+
+/// Most humanoid bones that are looked at; VRM knows 55.
+const HUMANOID: usize = 256;
 
 /// The extensions that make a GLB an avatar.
 #[derive(Clone, Copy, Default, Deserialize)]
@@ -23,14 +30,15 @@ pub(super) struct Extensions<'a> {
 }
 
 #[derive(Deserialize)]
-struct Vrm0 {
-    humanoid: Option<Humanoid0>,
+struct Vrm0<'a> {
+    #[serde(borrow)]
+    humanoid: Option<Humanoid0<'a>>,
 }
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct Humanoid0 {
-    #[serde(default)]
-    human_bones: Vec<Bone0>,
+struct Humanoid0<'a> {
+    #[serde(borrow)]
+    human_bones: Option<&'a RawValue>,
 }
 #[derive(Deserialize)]
 struct Bone0 {
@@ -44,12 +52,38 @@ struct Vrm1 {
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 struct Humanoid1 {
-    #[serde(default)]
-    human_bones: BTreeMap<String, Bone1>,
+    #[serde(default, deserialize_with = "named_nodes")]
+    human_bones: BTreeMap<String, i64>,
 }
 #[derive(Deserialize)]
 struct Bone1 {
     node: i64,
+}
+
+/// Reads nodes by the names of their bones, not too many.
+fn named_nodes<'a, D: Deserializer<'a>>(from: D) -> Result<BTreeMap<String, i64>, D::Error> {
+    struct AtMost;
+
+    impl<'a> Visitor<'a> for AtMost {
+        type Value = BTreeMap<String, i64>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(f, "at most {HUMANOID} humanoid bones")
+        }
+
+        fn visit_map<A: MapAccess<'a>>(self, mut bones: A) -> Result<Self::Value, A::Error> {
+            let mut nodes = BTreeMap::new();
+            while let Some(name) = bones.next_key::<String>()? {
+                if nodes.len() == HUMANOID {
+                    return Err(A::Error::custom(format!("more than {HUMANOID} humanoid bones")));
+                }
+                nodes.insert(name, bones.next_value::<Bone1>()?.node);
+            }
+            Ok(nodes)
+        }
+    }
+
+    from.deserialize_map(AtMost)
 }
 
 impl Extensions<'_> {
@@ -64,13 +98,13 @@ impl Extensions<'_> {
             let vrm: Vrm1 = serde_json::from_str(vrm.get()).or_else(|error| {
                 problem(format!("its VRMC_vrm extension: {}", short(&error.to_string())))
             })?;
-            let bones = vrm.humanoid.map(|humanoid| humanoid.human_bones).unwrap_or_default();
-            bones.into_iter().map(|(name, bone)| (name, bone.node)).collect()
+            vrm.humanoid.map(|humanoid| humanoid.human_bones).unwrap_or_default()
         } else if let Some(vrm) = self.vrm0 {
-            let vrm: Vrm0 = serde_json::from_str(vrm.get()).or_else(|error| {
+            let vrm: Vrm0<'_> = serde_json::from_str(vrm.get()).or_else(|error| {
                 problem(format!("its VRM extension: {}", short(&error.to_string())))
             })?;
-            let bones = vrm.humanoid.map(|humanoid| humanoid.human_bones).unwrap_or_default();
+            let bones = vrm.humanoid.and_then(|humanoid| humanoid.human_bones);
+            let bones: Vec<Bone0> = splice::array("humanBones", bones, HUMANOID)?;
             bones.into_iter().map(|bone| (bone.bone, bone.node)).collect()
         } else {
             return Ok(None);

@@ -50,8 +50,12 @@ async fn written_read_and_deleted(files: &Files) {
 async fn files_are_whole_or_not_there() {
     written_read_and_deleted(&Files::in_memory()).await;
     let folder = tempfile::tempdir().unwrap();
-    let files = Files::in_folder(&folder.path().join("new/files")).unwrap();
+    let place = folder.path().join("new/files");
+    let files = Files::in_folder(&place).unwrap();
     written_read_and_deleted(&files).await;
+    let left = fs::read_dir(place.join("results")).unwrap();
+    let left: Vec<_> = left.map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left, ["b"], "an empty folder is one file more for ever");
 }
 
 #[test]

@@ -56,7 +56,7 @@ fn a_job_is_kept_worked_on_and_done() {
         let id = insert(&jobs, order.clone()).await;
         let kept = find(&jobs, id).await;
         assert_eq!((kept.state, kept.starts, kept.priority), (State::Queued, 0, 2));
-        assert_eq!(kept.order, order.order);
+        assert_eq!((&kept.order, kept.order_bytes), (&order.order, 7 + 2));
         let lease = take(&jobs).await.unwrap();
         assert_eq!((lease.job.id, lease.job.state), (id, State::Running));
         assert!(take(&jobs).await.is_none());
@@ -69,8 +69,12 @@ fn a_job_is_kept_worked_on_and_done() {
         assert_eq!((done.state, done.result.as_deref()), (State::Done, Some("[1]")));
         assert!(done.finished_at >= done.started_at && done.started_at >= Some(done.created_at));
         let kept = jobs.kept("me").await.unwrap();
-        assert_eq!(kept, Kept { jobs: 1, own: 1, bytes: 5 });
-        assert_eq!(jobs.kept("you").await.unwrap().own, 0);
+        // The order takes two bytes, the result five.
+        assert_eq!(kept, Kept { jobs: 1, own: 1, bytes: 7, own_bytes: 7 });
+        let others = jobs.kept("you").await.unwrap();
+        assert_eq!(others, Kept { jobs: 1, own: 0, bytes: 7, own_bytes: 0 });
+        let (order, result) = (String::new(), Some(String::new()));
+        assert_eq!(jobs.look(id).await.unwrap(), Some(JobRecord { order, result, ..done }));
         assert!(!jobs.renew(&lease, LONG, &reached(9)).await.unwrap(), "the lease has ended");
         assert!(jobs.delete(id).await.unwrap() && !jobs.delete(id).await.unwrap());
     });
@@ -124,6 +128,18 @@ fn a_job_expires_in_the_queue_but_not_once_it_has_begun() {
         jobs.fail_hopeless(3, "expired".to_owned(), "abandoned".to_owned()).await.unwrap();
         assert_eq!(find(&jobs, late).await.error.as_deref(), Some("expired"));
         assert!(jobs.done(&lease, String::new(), 0, &reached(9)).await.unwrap());
+    });
+}
+
+/// As when a clock is set back, or the clock of who took the order was ahead.
+#[test]
+fn a_job_that_was_ordered_later_than_now_does_not_wait() {
+    with_each(async |jobs| {
+        let id = insert(&jobs, job("me")).await;
+        let ahead = sqlx::query("UPDATE jobs SET created_at = $1, run_after = $1 WHERE id = $2");
+        let ahead = ahead.bind(now() + 3_600_000).bind(id.to_string());
+        assert!(jobs.change(ahead).await.unwrap());
+        assert_eq!(take(&jobs).await.unwrap().job.id, id);
     });
 }
 
@@ -275,15 +291,17 @@ fn the_end_is_reported_until_somebody_takes_the_report() {
     with_each(async |jobs| {
         let url = Some("https://example.org".to_owned());
         let id = insert(&jobs, NewJob { callback_url: url, ..job("me") }).await;
-        assert!(jobs.due_callback(LONG).await.unwrap().is_none(), "it has not ended");
+        assert!(jobs.due_callback(LONG, &[]).await.unwrap().is_none(), "it has not ended");
         let lease = take(&jobs).await.unwrap();
         jobs.done(&lease, String::new(), 0, &reached(9)).await.unwrap();
-        assert_eq!(jobs.due_callback(LONG).await.unwrap().unwrap().id, id);
-        assert!(jobs.due_callback(LONG).await.unwrap().is_none(), "somebody reports it");
+        let full = ["me", "you"].map(str::to_owned);
+        assert!(jobs.due_callback(LONG, &full).await.unwrap().is_none(), "others are told first");
+        assert_eq!(jobs.due_callback(LONG, &full[1..]).await.unwrap().unwrap().id, id);
+        assert!(jobs.due_callback(LONG, &[]).await.unwrap().is_none(), "somebody reports it");
         jobs.reported(id, Some(Duration::ZERO)).await.unwrap();
-        assert_eq!(jobs.due_callback(LONG).await.unwrap().unwrap().callback_tries, 2);
+        assert_eq!(jobs.due_callback(LONG, &[]).await.unwrap().unwrap().callback_tries, 2);
         jobs.reported(id, None).await.unwrap();
-        assert!(jobs.due_callback(Duration::ZERO).await.unwrap().is_none());
+        assert!(jobs.due_callback(Duration::ZERO, &[]).await.unwrap().is_none());
     });
 }
 

@@ -8,8 +8,9 @@ use axum::{
     http::{HeaderName, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
-use bailando_jobs::{Inserted, JobRecord, NewJob, now};
+use bailando_jobs::{Inserted, JobRecord, JobsError, NewJob, now};
 use bytes::Bytes;
+use tokio::sync::oneshot;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 use uuid::Uuid;
 
@@ -24,6 +25,7 @@ use crate::server::{
     },
     layers::{client::Client, envelope::request_id},
     options::RequestOptions,
+    resources::UploadReservation,
     response::documented::NewJobErrors,
     state::SharedState,
     upload::body::IncomingBody,
@@ -83,8 +85,8 @@ pub(crate) async fn create(
     let body = IncomingBody::new(body);
     let under_way = state.lifecycle.enter().ok_or_else(|| state.draining())?;
     let accepted = state.in_time(async {
-        let order = intake::receive(&state, Purpose::Job, parts, body).await?;
-        let accepted = accept(&state, client, id, &order).await;
+        let mut order = intake::receive(&state, Purpose::Job, parts, body).await?;
+        let accepted = accept(&state, client, id, &mut order).await;
         order.waiting.answered();
         accepted
     });
@@ -108,7 +110,7 @@ async fn accept(
     state: &SharedState,
     client: Client,
     request_id: String,
-    order: &Order,
+    order: &mut Order,
 ) -> Result<(JobRecord, bool), ServerError> {
     let jobs = &state.jobs;
     let owner = jobs.owners().name(client);
@@ -116,7 +118,10 @@ async fn accept(
     let prepared = {
         let (options, audio) = (order.options.clone(), order.audio.clone());
         let (format, model) = (order.shape.format, model.to_owned());
-        let prepare = move || Ok(StoredOrder::prepare(&options, format, &audio, &model));
+        // Those of the longest dance, and a second more.
+        let seconds = state.limits.max_audio_seconds + 1.0;
+        let codes = (seconds * order.engine.manifest().codes_per_second()) as usize;
+        let prepare = move || Ok(StoredOrder::prepare(&options, format, &audio, &model, codes));
         crate::server::blocking::blocking(&state.metrics, "order", prepare).await?
     };
     if let Some(key) = &order.job.idempotency_key
@@ -126,6 +131,9 @@ async fn accept(
     }
     jobs.make_room(&owner).await?;
     let id = Uuid::new_v4();
+    let result = known_result(jobs, &prepared, id).await;
+    // The song of a dance that is there already is not kept.
+    let song = if result.is_some() { 0 } else { order.audio.len() };
     let job = NewJob {
         id,
         request_id,
@@ -134,17 +142,12 @@ async fn accept(
         model: model.to_owned(),
         content_key: prepared.content_key.clone(),
         idempotency_key: order.job.idempotency_key.clone(),
-        order_bytes: i64::try_from(order.audio.len()).unwrap_or(i64::MAX),
-        result: known_result(jobs, &prepared, id).await,
+        order_bytes: i64::try_from(song).unwrap_or(i64::MAX),
+        result,
         callback_url: order.job.callback_url.clone(),
         ..NewJob::new(&owner, &to_text(&prepared.order)?)
     };
-    let kept = keep(jobs, job, order.audio.clone()).await;
-    if !matches!(kept, Ok(Inserted::New)) {
-        // Nobody will ask for it; what is left is swept.
-        drop(jobs.files.delete_below(&Jobs::folder(id)).await);
-    }
-    match kept? {
+    match keep(jobs, job, order.audio.clone(), order.upload.take()).await? {
         Inserted::Known(known) => Ok((same(*known, &prepared)?, true)),
         Inserted::New => {
             let gone = || ServerError::NoJob { id: id.to_string() };
@@ -153,21 +156,52 @@ async fn accept(
     }
 }
 
-/// Stores the song first: a row without its song would be a job that cannot be done.
-async fn keep(jobs: &Jobs, job: NewJob, audio: Bytes) -> Result<Inserted, ServerError> {
-    if job.result.is_none() {
-        let mut writer = jobs.files.write(&Jobs::song(job.id));
-        let mut rest = audio;
-        while !rest.is_empty() {
-            let piece = rest.split_to(PIECE.min(rest.len()));
-            if let Err(error) = writer.push(piece).await {
-                writer.abort().await;
-                return Err(error.into());
-            }
+/// Keeps a job and its song, in a task of its own: where its client hangs up meanwhile, what was
+/// written is deleted, and `held` has the memory of the song as long as it is written.
+async fn keep(
+    jobs: &Arc<Jobs>,
+    job: NewJob,
+    audio: Bytes,
+    held: Option<UploadReservation>,
+) -> Result<Inserted, ServerError> {
+    let jobs = Arc::clone(jobs);
+    let (answer, kept) = oneshot::channel();
+    tokio::spawn(async move {
+        let folder = Jobs::folder(job.id);
+        // A row without its song would be a job that cannot be done.
+        let kept = match write_song(&jobs, &job, audio).await {
+            Ok(()) if answer.is_closed() => Ok(None),
+            Ok(()) => jobs.table.insert(job).await.map(Some),
+            Err(error) => Err(error),
+        };
+        drop(held);
+        if !matches!(kept, Ok(Some(Inserted::New))) {
+            // Nobody will ask for it; what is left is swept.
+            drop(jobs.files.delete_below(&folder).await);
         }
-        writer.finish().await?;
+        // An order that was accepted is one, whoever waits for the answer.
+        drop(answer.send(kept));
+    });
+    match kept.await {
+        Ok(kept) => kept?.ok_or_else(|| ServerError::Internal("an order was given up".to_owned())),
+        Err(_) => Err(ServerError::Internal("an order was not kept".to_owned())),
     }
-    Ok(jobs.table.insert(job).await?)
+}
+
+async fn write_song(jobs: &Jobs, job: &NewJob, audio: Bytes) -> Result<(), JobsError> {
+    if job.result.is_some() {
+        return Ok(());
+    }
+    let mut writer = jobs.files.write(&Jobs::song(job.id));
+    let mut rest = audio;
+    while !rest.is_empty() {
+        let piece = rest.split_to(PIECE.min(rest.len()));
+        if let Err(error) = writer.push(piece).await {
+            writer.abort().await;
+            return Err(error);
+        }
+    }
+    writer.finish().await.map(drop)
 }
 
 /// A copy of the result of the same order, where there is one.

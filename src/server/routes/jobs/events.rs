@@ -15,7 +15,7 @@ use tokio::time::{Instant, sleep};
 use super::find::find;
 use crate::server::{
     error::ServerError,
-    jobs::status::JobStatus,
+    jobs::{service::Reader, status::JobStatus},
     layers::{client::Client, envelope::Held},
     response::{documented::JobErrors, negotiate::EVENTS, paced},
     routes::stream::unbuffered,
@@ -24,6 +24,9 @@ use crate::server::{
 
 /// Time between two looks at a job.
 const LOOK_AGAIN: Duration = Duration::from_millis(200);
+/// Streams of one client that look so often, its results that are read counted. Of more, each looks
+/// less often, so that they ask the database no more often together.
+const QUICK: usize = 32;
 /// A comment is sent after so much silence, so that proxies keep the connection.
 const LONGEST_SILENCE: Duration = Duration::from_secs(15);
 /// The id of the last event. A browser's `EventSource` connects again after the end, and names it.
@@ -64,7 +67,8 @@ pub(crate) async fn events(
     let mut head = HeaderMap::new();
     head.insert(header::CONTENT_TYPE, HeaderValue::from_static(EVENTS));
     unbuffered(&mut head);
-    let body = paced::from_stream(Follower::new(Arc::clone(&state), job).events(), state.pace());
+    let follower = Follower::new(Arc::clone(&state), state.jobs.read(client)?, job);
+    let body = paced::from_stream(follower.events(), state.pace());
     Ok((Held::Paced, head, body).into_response())
 }
 
@@ -74,11 +78,19 @@ struct Follower {
     job: JobRecord,
     told: String,
     told_at: Instant,
+    reader: Reader,
+}
+
+/// Time until the next look of each of so many streams of one client.
+fn pause(streams: usize) -> Duration {
+    LOOK_AGAIN * u32::try_from(streams.div_ceil(QUICK).max(1)).unwrap_or(u32::MAX)
 }
 
 impl Follower {
-    fn new(state: SharedState, job: JobRecord) -> Self {
-        Self { state, job, told: String::new(), told_at: Instant::now() }
+    fn new(state: SharedState, reader: Reader, job: JobRecord) -> Self {
+        // Nothing of these is told, and there may be many followers.
+        let job = JobRecord { order: String::new(), result: None, ..job };
+        Self { state, job, told: String::new(), told_at: Instant::now(), reader }
     }
 
     fn events(self) -> impl Stream<Item = Bytes> + Send + 'static {
@@ -93,7 +105,7 @@ impl Follower {
     async fn next(&mut self) -> (Bytes, bool) {
         loop {
             self.state.jobs.ask(self.job.id);
-            let found = self.state.jobs.find(self.job.id).await;
+            let found = self.state.jobs.look(self.job.id).await;
             let deleted = matches!(found, Ok(None));
             // While the table does not answer, what was known is told.
             if let Ok(Some(job)) = found {
@@ -116,7 +128,19 @@ impl Follower {
                 self.told_at = Instant::now();
                 return (Bytes::from_static(b": still at it\n\n"), true);
             }
-            sleep(LOOK_AGAIN).await;
+            sleep(pause(self.reader.of_client())).await;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_streams_of_a_client_look_no_more_often_than_a_few() {
+        for (streams, times) in [(1, 1), (QUICK, 1), (QUICK + 1, 2), (100 * QUICK, 100)] {
+            assert_eq!(pause(streams), LOOK_AGAIN * times, "{streams}");
         }
     }
 }

@@ -18,7 +18,7 @@ use crate::{
         error::ServerError,
         jobs::{
             order::{StoredOrder, StoredResult, from_text},
-            service::Jobs,
+            service::{Jobs, Reader},
             status::report,
         },
         layers::{client::Client, envelope::Held},
@@ -92,15 +92,17 @@ pub(crate) async fn result(
         false => Encoding::preferred(&headers),
     };
     let as_ordered = format == ordered_format && options.writing() == ordered.writing();
+    // Whatever becomes of the connection, it counts until it has been sent.
+    let reader = state.jobs.read(client)?;
     let mut wanted =
         Wanted { job, stored, client, options, shape: Shape { format, encoding, lines: false } };
     let as_it_is = |&size: &u64| encoding == Encoding::Identity || size > LARGEST_CODED;
     match wanted.stored.file_bytes.filter(|_| as_ordered).filter(as_it_is) {
         Some(size) => {
             wanted.shape.encoding = Encoding::Identity;
-            wanted.send_file(&state, &headers, size).await
+            wanted.send_file(&state, &headers, size, reader).await
         }
-        None => wanted.write(&state, &headers).await,
+        None => wanted.write(&state, &headers, reader).await,
     }
 }
 
@@ -124,9 +126,10 @@ impl Wanted {
         state: &SharedState,
         headers: &HeaderMap,
         size: u64,
+        reader: Reader,
     ) -> Result<Response, ServerError> {
         let part = range::asked(headers, &self.tag(), size)?;
-        let under_way = state.lifecycle.go_on();
+        let under_way = (state.lifecycle.go_on(), reader);
         let name = Jobs::result(self.job.id, self.stored.start, self.shape.format.name());
         let (found, pieces) = state.jobs.files.read(&name, part.clone()).await?;
         if found != size {
@@ -164,8 +167,9 @@ impl Wanted {
         self,
         state: &SharedState,
         headers: &HeaderMap,
+        reader: Reader,
     ) -> Result<Response, ServerError> {
-        let under_way = state.lifecycle.go_on();
+        let under_way = (state.lifecycle.go_on(), reader);
         let load = {
             let state = Arc::clone(state);
             let name = Jobs::result(self.job.id, self.stored.start, "motion");

@@ -30,6 +30,13 @@ fn hostile_glb_files_are_refused_in_words() {
     let cut = |end: usize| good[..end].to_vec();
     let mut longer = good.clone();
     longer[12..16].copy_from_slice(&u32::MAX.to_le_bytes());
+    let vrm = |extension: &str, bones: &str| {
+        let humanoid = format!("{{\"humanoid\":{{\"humanBones\":{bones}}}}}");
+        format!("{{{asset},\"nodes\":[{{}}],\"extensions\":{{\"{extension}\":{humanoid}}}}}")
+    };
+    let each = |bone: fn(usize) -> String| (0..300).map(bone).collect::<Vec<_>>().join(",");
+    let named = format!("{{{}}}", each(|number| format!("\"b{number}\":{{\"node\":0}}")));
+    let numbered = format!("[{}]", each(|_| "{\"bone\":\"hips\",\"node\":0}".into()));
     let mut deep = "[".repeat(100_000);
     deep.push_str(&"]".repeat(100_000));
     for (bytes, expected) in [
@@ -50,6 +57,9 @@ fn hostile_glb_files_are_refused_in_words() {
         (with("{\"matrix\":[0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0]}"), "no rotation"),
         (with(&format!("{},{{}}", chain.join(","))), "no humanoid is found"),
         (with(""), "no humanoid is found"),
+        (with(&format!("{{\"name\":\"{}\"}}", "n".repeat(1001))), "is a name of 1001 bytes"),
+        (of(&vrm("VRMC_vrm", &named)), "more than 256 humanoid bones"),
+        (of(&vrm("VRM", &numbered)), "more than 256 elements"),
     ] {
         let error = refused(bytes);
         assert!(error.contains(expected) && error.len() < 700, "{expected:?}: {error}");
@@ -79,11 +89,14 @@ fn hostile_bvh_files_are_refused_in_words() {
         (of("ROOT a\n{\n}\nROOT b\n{\n"), "several roots"),
         (of("ROOT a\n{\nOFFSET 0 nan 0\n"), "the OFFSET of `a` is `0 nan 0`"),
         (of("ROOT a\n{\nOFFSET 0 0\n"), "not three numbers"),
+        (of("ROOT a\n{\nOFFSET 0 1e308 0\n"), "of at most 1000000"),
         (of("ROOT a\n{\nCHANNELS 3 Xrotation Xrotation Yrotation\n"), "the CHANNELS of `a`"),
         (of("ROOT a\n{\nCHANNELS 99999999999999999999 Xrotation\n"), "the CHANNELS of `a`"),
         (of("OFFSET 0 0 0\n"), "outside of a joint"),
         (of("ROOT a\n{\nSURPRISE\n"), "the line `SURPRISE`"),
         (of(&format!("{open}}}\nMOTION\n")), "no humanoid is found among its 1 bones"),
+        (of(&format!("ROOT {}\n{{\n", "r".repeat(1001))), "is a name of 1001 bytes"),
+        (of(&" ".repeat(70_000)), "a line of 70000 bytes"),
     ] {
         let error = refused(bytes);
         assert!(error.contains(expected) && error.len() < 700, "{expected:?}: {error}");
