@@ -105,7 +105,8 @@ class Shape:
         body.parent = armature
         body.modifiers.new("Armature", "ARMATURE").object = armature
         mesh.materials.append(material())
-        for bone, pairs in json.loads((data / f"rigs/{weights}.json").read_text())["weights"].items():
+        weights = json.loads((data / f"rigs/{weights}.json").read_text())["weights"]
+        for bone, pairs in weights.items():
             if bone not in armature.data.bones:
                 continue
             group = body.vertex_groups.new(name=bone)

@@ -38,7 +38,8 @@ class Rig:
 
     def __init__(self, rig, danced, mapping, dance):
         self.before, self.after = read(rig), read(danced)
-        bones = {part: names if isinstance(names, list) else [names] for part, names in mapping.items()}
+        listed = lambda names: names if isinstance(names, list) else [names]
+        bones = {part: listed(names) for part, names in mapping.items()}
         self.bones = {part: self.index(names[-1]) for part, names in bones.items()}
         self.bones["hips"] = self.index(bones["hips"][0])
         world = self.after.play(dance.fps)
@@ -62,7 +63,8 @@ class Rig:
         """Rows: the rig's left, up and front."""
         place = lambda part: self.before.rest[self.bones[part], :3, 3]
         left = place("leftUpperLeg") - place("rightUpperLeg")
-        line = place("leftUpperArm") + place("rightUpperArm") - place("leftFoot") - place("rightFoot")
+        line = place("leftUpperArm") + place("rightUpperArm")
+        line = line - place("leftFoot") - place("rightFoot")
         up, across = np.zeros(3), np.zeros(3)
         up[abs(line).argmax()] = np.sign(line[abs(line).argmax()])
         across[abs(left).argmax()] = np.sign(left[abs(left).argmax()])
@@ -186,8 +188,8 @@ def main(folder):
         programs = [others(folder / name, stem, rig) for name in ("blender", "three")]
         told = ["      -" if mm is None else f"{mm:7.3f}" for mm in programs]
         print(f"{stem:24} {len(rig.before.names):5} {mapping['found_by']:9} {seen['skate']:5.2f} "
-              f"{seen['lowest']:6.2f} {seen['arms']:5.2f} {seen['knees']:5.1f} {seen['turned']:6.2f} "
-              + " ".join(told))
+              f"{seen['lowest']:6.2f} {seen['arms']:5.2f} {seen['knees']:5.1f} "
+              f"{seen['turned']:6.2f} " + " ".join(told))
         if (
             seen["skate"] > MOST_SKATE or seen["lowest"] < LEAST_HEIGHT or seen["arms"] > MOST_ARM
             or seen["knees"] > MOST_KNEE or seen["turned"] > 5

@@ -34,7 +34,8 @@ def open_rig(path):
     shutil.copy(path, plain)
     bpy.ops.import_scene.gltf(filepath=str(plain))
     plain.unlink()
-    armature = next(o for o in scene.objects if o.type == "ARMATURE")
+    armatures = [o for o in scene.objects if o.type == "ARMATURE"]
+    armature = next(o for o in armatures if o.animation_data)
     action = next(a for a in bpy.data.actions if a.name.startswith("Dance"))
     for track in armature.animation_data.nla_tracks:
         track.mute = True
@@ -113,7 +114,8 @@ for path in sorted((folder / "danced").iterdir()):
         continue
     armature, first = open_rig(path)
     bones = json.loads((folder / "mapping" / f"{path.name}.json").read_text())["bones"]
-    wanted = {name for names in bones.values() for name in (names if isinstance(names, list) else [names])}
+    listed = (names if isinstance(names, list) else [names] for names in bones.values())
+    wanted = {name for names in listed for name in names if name in armature.pose.bones}
     names = {index: name for index, name in enumerate(read(path).names) if name in wanted}
     seen = joints(armature, first, names)
     (folder / "blender" / f"{path.name}.json").write_text(json.dumps(seen))
