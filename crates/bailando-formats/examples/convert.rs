@@ -1,10 +1,12 @@
-//! Writes a motion that was kept as JSON (with `include=rotations`) in another format:
-//! `cargo run -p bailando-formats --example convert -- dance.json dance.glb [mixamo]`.
+//! Writes a motion that was kept as JSON (with `include=rotations`) in another format, or on a
+//! character: `cargo run -p bailando-formats --example convert -- dance.json dance.glb [mixamo]`,
+//! or `dance.json hero-dance.glb hero.glb`.
 
-use std::{error::Error, io::Write, time::Instant};
+use std::{error::Error, io::Write, path::Path, time::Instant};
 
 use bailando_formats::{
-    Codes, GeneratedMotion, OutputFormat, PositionsSource, TargetSkeleton, Timings, WriteOptions,
+    Character, Codes, GeneratedMotion, OutputFormat, PositionsSource, RigLimits, RigMapping,
+    TargetSkeleton, Timings, WriteOptions,
 };
 use bailando_motion::{Animation, Skeleton, forward};
 use glam::{Quat, Vec3};
@@ -30,14 +32,19 @@ struct Bones {
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [from, to, ..] = arguments.as_slice() else {
-        return Err("usage: convert DANCE.json OUT.{bvh,glb,vrma,fbx,vmd,npz} [SKELETON]".into());
+        return Err("usage: convert DANCE.json OUT [SKELETON or RIG.{bvh,glb,vrm}]".into());
     };
-    let skeleton: TargetSkeleton = arguments.get(2).map_or("smpl", String::as_str).parse()?;
-    let format: OutputFormat = to.rsplit('.').next().unwrap_or_default().parse()?;
+    let third = arguments.get(2).map_or("smpl", String::as_str);
     let motion = motion(serde_json::from_slice(&std::fs::read(from)?)?)?;
     let started = Instant::now();
-    let options = WriteOptions { skeleton, ..WriteOptions::default() };
-    let file = format.write(&motion, &options)?;
+    let file = if Path::new(third).is_file() {
+        let (mapping, limits) = (RigMapping::default(), RigLimits::default());
+        Character::read(std::fs::read(third)?, &mapping, &limits)?.dance(&motion, true)?
+    } else {
+        let skeleton: TargetSkeleton = third.parse()?;
+        let format: OutputFormat = to.rsplit('.').next().unwrap_or_default().parse()?;
+        format.write(&motion, &WriteOptions { skeleton, ..WriteOptions::default() })?
+    };
     let taken = started.elapsed();
     let (bytes, milliseconds) = (file.len(), taken.as_secs_f64() * 1e3);
     std::fs::write(to, file)?;

@@ -17,15 +17,13 @@ use super::{
 use crate::{
     error::FormatError,
     glb::{TAKE, tolerance_at},
-    keys::{Keys, reduce_positions, reduce_rotations},
+    keys::{Keys, reduce_rotations},
 };
 
 /// Code of 32-bit floats in glTF.
 const FLOAT: u32 = 5126;
 /// Most buffers that are looked at.
 const BUFFERS: usize = 1000;
-/// Largest error of the hips' place, metres of a dancer of ordinary size.
-const PLACE_TOLERANCE: f64 = 4e-4;
 
 /// A GLB or VRM file that gets one more animation.
 #[derive(Clone, Debug)]
@@ -332,11 +330,19 @@ fn untangle(
 fn animation(tree: &Tree, poses: &Poses, view: usize, first: usize) -> Added {
     let mut added = Added::default();
     let seconds = |frame: usize| (frame as f64 / f64::from(poses.fps)) as f32;
+    // Tracks with a key at every frame share their times.
+    let mut every = None;
     let mut channel = |bone: usize, path: &str, frames: &[usize], kind: &str, values: &[f32]| {
-        let times: Vec<f32> = frames.iter().map(|&frame| seconds(frame)).collect();
-        let bounds = times.first().copied().zip(times.last().copied());
-        let bounds = bounds.map(|(least, most)| [least, most]);
-        let input = first + added.accessor(view, "SCALAR", &times, bounds);
+        let mut input = || {
+            let times: Vec<f32> = frames.iter().map(|&frame| seconds(frame)).collect();
+            let bounds = times.first().copied().zip(times.last().copied());
+            let bounds = bounds.map(|(least, most)| [least, most]);
+            first + added.accessor(view, "SCALAR", &times, bounds)
+        };
+        let input = match frames.len() == poses.hips.len() {
+            true => *every.get_or_insert_with(input),
+            false => input(),
+        };
         let output = first + added.accessor(view, kind, values, None);
         let sampler = added.samplers.len();
         added.samplers.push(json!({ "input": input, "output": output }));
@@ -345,15 +351,18 @@ fn animation(tree: &Tree, poses: &Poses, view: usize, first: usize) -> Added {
             "target": { "node": bone, "path": path },
         }));
     };
+    // Feet stand still only where hips and legs have a key at every frame: a millimetre that a line
+    // between keys is off comes and goes in a frame or two, which is centimetres a second.
     let size = tree.reach(poses.hips_bone).max(1e-9);
-    let scale = tree.bones[poses.hips_bone].parent.and_then(|parent| tree.scale_below(parent));
-    let tolerance = PLACE_TOLERANCE * size / scale.unwrap_or(1.0).abs();
-    let Keys { frames, values } = reduce_positions(&poses.local_hips(tree), tolerance);
+    let Keys { frames, values } = Keys::every(&poses.local_hips(tree));
     let values: Vec<f32> = values.iter().flat_map(|place| place.as_vec3().to_array()).collect();
     channel(poses.hips_bone, "translation", &frames, "VEC3", &values);
-    for (&bone, track) in poses.bones.iter().zip(&poses.turns) {
+    for (index, (&bone, track)) in poses.bones.iter().zip(&poses.turns).enumerate() {
         let tolerance = tolerance_at(tree.reach(bone) / size);
-        let Keys { frames, values } = reduce_rotations(track, tolerance);
+        let Keys { frames, values } = match poses.carries_feet[index] {
+            true => Keys::every(track),
+            false => reduce_rotations(track, tolerance),
+        };
         let values: Vec<f32> = values.iter().flat_map(|turn| turn.as_quat().to_array()).collect();
         channel(bone, "rotation", &frames, "VEC4", &values);
     }

@@ -198,7 +198,9 @@ impl Tradition {
             chest.is_some_and(|chest| tree.is_above(chest, *bone))
                 && !arms.iter().any(|&arm| tree.is_above(arm, *bone))
         });
-        if let Some(&(head, _)) = head {
+        let head = head.map(|&(bone, _)| bone);
+        let numbered = || last_of_spine(tree, chest?, named);
+        if let Some(head) = head.or_else(numbered) {
             parts.insert(BodyPart::Head, vec![head]);
         }
         parts
@@ -226,6 +228,20 @@ impl Tradition {
     }
 }
 
+/// Returns the last of the bones above the chest that are numbered on as it is: Rigify calls neck
+/// and head `spine.004` to `spine.006`.
+fn last_of_spine(tree: &Tree, chest: usize, named: &[(usize, Words)]) -> Option<usize> {
+    let stem = |bone: usize| {
+        let (_, words) = named.iter().find(|(other, _)| *other == bone)?;
+        let stem = words.joined.trim_end_matches(|letter: char| letter.is_ascii_digit());
+        (words.side.is_none() && stem.len() < words.joined.len()).then_some(stem)
+    };
+    let own = stem(chest)?;
+    let next =
+        |&bone: &usize| tree.children[bone].iter().copied().find(|&child| stem(child) == Some(own));
+    std::iter::successors(next(&chest), next).last()
+}
+
 fn ends_with(joined: &str, names: &[&str]) -> bool {
     names.iter().any(|name| joined.ends_with(name))
 }
@@ -246,6 +262,29 @@ fn first_chain(tree: &Tree, lists: &[Vec<usize>]) -> Option<Vec<usize>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_spine_that_is_numbered_on_ends_in_the_head() {
+        let bone = |(index, name): (usize, &&str)| super::super::tree::Bone {
+            name: (*name).to_owned(),
+            parent: index.checked_sub(1),
+            place: glam::DVec3::Y,
+            turn: glam::DQuat::IDENTITY,
+            scale: glam::DVec3::ONE,
+            turns: true,
+        };
+        for (names, head) in [
+            (["spine", "spine.003", "spine.004", "spine.006", "face"], Some(3)),
+            (["spine", "DEF-spine.003", "DEF-spine.004", "jaw", "tongue.001"], Some(2)),
+            (["spine", "spine.003", "tail.001", "tail.002", "tail.003"], None),
+            (["spine", "chest", "spine.001", "neck", "top"], None),
+        ] {
+            let tree = Tree::new(names.iter().enumerate().map(bone).collect()).unwrap();
+            let words = |&bone: &usize| Some((bone, Words::of(&tree.bones[bone].name)?));
+            let named: Vec<(usize, Words)> = tree.order.iter().filter_map(words).collect();
+            assert_eq!(last_of_spine(&tree, 1, &named), head, "{names:?}");
+        }
+    }
 
     #[test]
     fn names_say_side_and_part_whoever_gave_them() {

@@ -20,6 +20,8 @@ pub(super) struct Poses {
     pub(super) hips: Vec<DVec3>,
     /// Bones that turn.
     pub(super) bones: Vec<usize>,
+    /// Whether they are hips or of a leg.
+    pub(super) carries_feet: Vec<bool>,
     /// Their local rotations, `[bone][frame]`, whose signs are continuous.
     pub(super) turns: Vec<Vec<DQuat>>,
 }
@@ -58,6 +60,13 @@ pub(super) fn check_scales(tree: &Tree, parts: &Parts) -> Result<(), FormatError
     Ok(())
 }
 
+fn carries_feet(part: BodyPart) -> bool {
+    let is_leg = |side| {
+        [BodyPart::UpperLeg(side), BodyPart::LowerLeg(side), BodyPart::Foot(side)].contains(&part)
+    };
+    part == BodyPart::Hips || Side::BOTH.into_iter().any(is_leg)
+}
+
 impl Poses {
     /// Makes world rotations from rest local ones.
     pub(super) fn new(tree: &Tree, parts: &Parts, dance: Retargeted) -> Self {
@@ -82,7 +91,9 @@ impl Poses {
             local.collect()
         });
         let turns = tracks.collect();
-        Self { fps: dance.fps, hips_bone, hips: dance.hips, bones, turns }
+        let carries_feet = bones.iter().map(|bone| carries_feet(ordered[figure_bone[bone]].0));
+        let carries_feet = carries_feet.collect();
+        Self { fps: dance.fps, hips_bone, hips: dance.hips, bones, carries_feet, turns }
     }
 
     /// Returns which of the tracks is that of a bone.

@@ -27,6 +27,7 @@ pub(crate) struct FeetPlanter {
     half_width: usize,
     lookahead: usize,
     continues: bool,
+    flat: bool,
     frames: Animation,
     /// Number of frames released.
     done: usize,
@@ -72,6 +73,7 @@ impl FeetPlanter {
             half_width: (LOWERING * f64::from(fps)).ceil() as usize,
             lookahead: Contacts::new(&BALL, fps, continues).lookahead(),
             continues,
+            flat: false,
             frames: Animation::empty(fps),
             done: 0,
             missing: Vec::new(),
@@ -79,10 +81,19 @@ impl FeetPlanter {
         }
     }
 
+    /// Takes the roll from feet near the floor, too: soles with a width then stand flat on it.
+    pub(crate) fn with_flat_soles(self) -> Self {
+        Self { flat: true, ..self }
+    }
+
     /// Takes the next frames; returns those that are settled.
-    pub(crate) fn push(&mut self, animation: Animation) -> Animation {
-        for (root, rotations) in animation.root.iter().zip(&animation.rotations) {
+    pub(crate) fn push(&mut self, mut animation: Animation) -> Animation {
+        for (root, rotations) in animation.root.iter().zip(&mut animation.rotations) {
             self.pose.set(*root, rotations);
+            if self.flat {
+                self.legs.iter().for_each(|leg| leg.level(&self.pose, rotations));
+                self.pose.set(*root, rotations);
+            }
             for leg in &mut self.legs {
                 let [heel, ball] = leg.points(&self.pose);
                 leg.heel.push(heel);
@@ -113,7 +124,7 @@ impl FeetPlanter {
             self.pose.set(self.frames.root[here], &self.frames.rotations[here]);
             let mut missing = 0.0_f64;
             for leg in &mut self.legs {
-                missing = missing.max(leg.settle(frame, &self.pose));
+                missing = missing.max(leg.settle(frame, &self.pose, self.flat));
             }
             self.missing.push(missing.min(MOST_LOWERED));
         }
@@ -145,6 +156,15 @@ impl FeetPlanter {
 }
 
 impl Leg {
+    /// Takes the roll from the foot of `pose` near the floor; ankle and ball stay.
+    fn level(&self, pose: &WorldPose, rotations: &mut [Quat]) {
+        let [_, _, ankle, ball] = self.limb.joints;
+        let turn = pose.turn(ankle);
+        let line = (turn * self.foot.ball).normalize();
+        let turn = self.foot.levelled(turn, line, self.foot.clearance(pose.place(ball), turn));
+        rotations[ankle] = (pose.turn_above(ankle).inverse() * turn).as_quat().normalize();
+    }
+
     /// Returns heel and ball of a pose.
     fn points(&self, pose: &WorldPose) -> [DVec3; 2] {
         let ankle = self.limb.joints[2];
@@ -153,7 +173,7 @@ impl Leg {
     }
 
     /// Finds where the foot goes in `frame`; returns how much lower the root must be for it.
-    fn settle(&mut self, frame: usize, pose: &WorldPose) -> f64 {
+    fn settle(&mut self, frame: usize, pose: &WorldPose, flat: bool) -> f64 {
         let [heel, ball] = self.points(pose);
         let holds = [self.heel.at(frame), self.ball.at(frame)];
         let [heel_to, ball_to] = [(heel, holds[0]), (ball, holds[1])].map(held);
@@ -164,7 +184,12 @@ impl Leg {
         let turn = match (ball - heel).try_normalize() {
             Some(from) => {
                 let to = self.foot.slanted(ball_to - heel_to);
-                (DQuat::from_rotation_arc(from, to) * turn).normalize()
+                let turn = (DQuat::from_rotation_arc(from, to) * turn).normalize();
+                match flat {
+                    // Contacts have brought the sole nearer to the floor.
+                    true => self.foot.levelled(turn, to, self.foot.clearance(ball_to, turn)),
+                    false => turn,
+                }
             }
             None => turn,
         };

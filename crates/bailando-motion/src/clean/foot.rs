@@ -13,6 +13,8 @@ const HEEL: f64 = 0.4;
 /// the toes are the last 25 to 30 % of a foot whose part from ankle to ball is half of it, and so
 /// half as long as that part. The end site of a BVH lies there, too.
 const TOES: f64 = 0.5;
+/// Distance from the middle of the sole to its edge, share of the same.
+const EDGE: f64 = 0.35;
 /// Largest bend of the toes, radians: 65 degrees.
 const MOST_BENT: f64 = 1.134;
 /// A foot that slants by up to the first of these (sine) keeps the heights of both ends, and from
@@ -30,6 +32,8 @@ pub(super) struct Foot {
     pub(super) heel: DVec3,
     /// From the ball joint to the toe tip, in the rest pose along the floor.
     toes: DVec3,
+    /// Unit vector across the sole.
+    across: DVec3,
 }
 
 /// Height above the floor of a point of the sole, metres: negative below.
@@ -46,7 +50,30 @@ impl Foot {
             ball,
             heel: DVec3::Y * ball.y - ahead * HEEL,
             toes: ahead * TOES,
+            across: DVec3::Y.cross(ahead).normalize(),
         })
+    }
+
+    /// Returns how far the lowest point of an unbent sole is above the floor, at least 0.
+    pub(super) fn clearance(&self, ball: DVec3, turn: DQuat) -> f64 {
+        let ends = [self.heel - self.ball, DVec3::ZERO, self.toes];
+        ends.map(|end| height(ball + turn * end)).into_iter().fold(f64::INFINITY, f64::min).max(0.0)
+    }
+
+    /// Returns the rotation of a foot rolled about `line`, a unit vector, so far that no edge of a
+    /// sole with this clearance is below the floor: a foot that stands, stands flat. Joints do not
+    /// say how a foot is rolled; it has that from the twist of the leg.
+    pub(super) fn levelled(&self, turn: DQuat, line: DVec3, clearance: f64) -> DQuat {
+        let most = clearance / (EDGE / TOES * self.toes.length());
+        // About the line, `across` rises as across * cos a + up * sin a.
+        let [across, up] = [turn * self.across, line.cross(turn * self.across)].map(|v| v.y);
+        let wanted = if most > 1e-9 { most * (across / most).tanh() } else { 0.0 };
+        if across.abs() - wanted.abs() < 1e-9 {
+            return turn;
+        }
+        let phase = up.atan2(across);
+        let angle = (wanted / across.hypot(up)).clamp(-1.0, 1.0).acos().copysign(phase);
+        (DQuat::from_axis_angle(line, phase - angle) * turn).normalize()
     }
 
     /// Returns the unit vector from heel to ball that points where `line` points on the floor and
@@ -133,6 +160,31 @@ mod tests {
         // Toes that point up stay straight.
         let turn = DQuat::from_axis_angle(across, 0.5);
         assert_eq!(foot.toe_bend(ball, turn), (0.0, 0.0));
+    }
+
+    #[test]
+    fn a_foot_that_stands_lies_flat_and_one_in_the_air_rolls() {
+        for (ball, side) in [(10, 1.0), (11, -1.0)] {
+            let foot = Foot::of(&Skeleton::fixture(), ball).unwrap();
+            let edge = EDGE / TOES * foot.toes.length();
+            for roll in [-1.2, -0.6, -0.1, 0.0, 0.3, 0.9] {
+                let rolled = DQuat::from_rotation_y(0.4) * DQuat::from_rotation_z(side * roll);
+                let mut last = None;
+                for lifted in 0..300 {
+                    // The ball comes from the floor to 30 cm.
+                    let ball = DVec3::Y * (f64::from(STANDING_HEIGHT) + 1e-3 * f64::from(lifted));
+                    let line = (rolled * foot.ball).normalize();
+                    let turn = foot.levelled(rolled, line, foot.clearance(ball, rolled));
+                    assert!((turn * foot.ball).distance(rolled * foot.ball) < 1e-9);
+                    let lowest = height(ball) - edge * (turn * foot.across).y.abs();
+                    assert!(lowest > -1e-9, "{roll} at {lifted} mm: {lowest}");
+                    let turned = last.map_or(0.0, |last: DQuat| last.angle_between(turn));
+                    assert!(turned < 0.06, "{roll} at {lifted} mm: {turned}");
+                    last = Some(turn);
+                }
+                assert!(last.unwrap().angle_between(rolled) < 0.1);
+            }
+        }
     }
 
     #[test]

@@ -124,7 +124,8 @@ impl LegRetargeter {
         let Stepping { mut pose, animation } = stepping;
         let animation = match planted {
             true => {
-                let mut planter = FeetPlanter::new(&self.skeleton, animation.fps, false);
+                let planter = FeetPlanter::new(&self.skeleton, animation.fps, false);
+                let mut planter = planter.with_flat_soles();
                 let mut done = planter.push(animation);
                 done.push_frames(planter.end());
                 done
