@@ -130,8 +130,8 @@ impl RequestOptions {
         self.codes.as_ref().map(|codes| codes.upper.len())
     }
 
-    /// The given codes as a text that means the same to a dance of at most `most` of them: no longer
-    /// than it needs be, however they were written.
+    /// The given codes as a text that means the same to a dance of at most `most` of them: no
+    /// longer than it needs be, however they were written.
     pub(crate) fn shortest_codes(&self, most: usize) -> Option<String> {
         let first = |half: &[u32]| half.iter().copied().take(most).collect();
         let Codes { upper, lower } = self.codes.as_ref()?;

@@ -308,8 +308,7 @@ fn listen(statuses: [u16; 2]) -> (u16, thread::JoinHandle<Vec<String>>) {
             loop {
                 let read = stream.read(&mut piece).unwrap();
                 call.extend_from_slice(&piece[..read]);
-                let text = String::from_utf8_lossy(&call);
-                if text.trim_end().ends_with("}}") || read == 0 {
+                if is_whole(&call) || read == 0 {
                     break;
                 }
             }
@@ -320,6 +319,14 @@ fn listen(statuses: [u16; 2]) -> (u16, thread::JoinHandle<Vec<String>>) {
         statuses.map(answer).to_vec()
     });
     (port, calls)
+}
+
+/// Whether a request has as many bytes of body as its head says.
+fn is_whole(request: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(request).to_ascii_lowercase();
+    let Some((head, body)) = text.split_once("\r\n\r\n") else { return false };
+    let length = head.lines().find_map(|line| line.strip_prefix("content-length: "));
+    length.is_some_and(|length| body.len() >= length.parse().unwrap())
 }
 
 /// A server that calls this machine.

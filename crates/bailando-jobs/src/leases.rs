@@ -137,7 +137,8 @@ impl JobTable {
         reached: &Reached,
     ) -> Result<bool, JobsError> {
         const CHANGE: &str = "UPDATE jobs SET state = 'done', result_json = $1, result_bytes = $2, \
-             order_bytes = LENGTH(order_json), finished_at = $3, lease = NULL, lease_until = NULL, stage = NULL, \
+             order_bytes = LENGTH(order_json), finished_at = $3, lease = NULL, \
+             lease_until = NULL, stage = NULL, \
              codes_done = $4, codes_total = $5, \
              callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($3 AS BIGINT) END \
              WHERE id = $6 AND lease = $7";
@@ -158,7 +159,8 @@ impl JobTable {
     /// [`JobsError::Database`].
     pub async fn fail(&self, lease: &Lease, error: String) -> Result<bool, JobsError> {
         const CHANGE: &str = "UPDATE jobs SET state = 'failed', error_json = $1, \
-             order_bytes = LENGTH(order_json), finished_at = $2, lease = NULL, lease_until = NULL, stage = NULL, \
+             order_bytes = LENGTH(order_json), finished_at = $2, lease = NULL, \
+             lease_until = NULL, stage = NULL, \
              callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
              WHERE id = $3 AND lease = $4";
         let change = sqlx::query(CHANGE)

@@ -272,8 +272,8 @@ impl JobTable {
         const COUNT: &str = "SELECT COUNT(*), \
              CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN 1 ELSE 0 END), 0) AS BIGINT), \
              CAST(COALESCE(SUM(order_bytes + result_bytes), 0) AS BIGINT), \
-             CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN order_bytes + result_bytes ELSE 0 END), 0) \
-             AS BIGINT) FROM jobs";
+             CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN order_bytes + result_bytes \
+             ELSE 0 END), 0) AS BIGINT) FROM jobs";
         let Some(row) = self.row(sqlx::query(COUNT).bind(owner.to_owned())).await? else {
             return Ok(Kept::default());
         };

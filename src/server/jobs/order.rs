@@ -37,8 +37,8 @@ pub(crate) struct Prepared {
 }
 
 impl StoredOrder {
-    /// Prepares an order of a dance to a song, of at most `most_codes`. A seed that was left open is
-    /// drawn here.
+    /// Prepares an order of a dance to a song, of at most `most_codes`. A seed that was left open
+    /// is drawn here.
     pub(crate) fn prepare(
         options: &RequestOptions,
         format: OutputFormat,
