@@ -39,8 +39,9 @@ pub struct Reached {
     pub codes_total: i64,
 }
 
-/// By priority; among equals the owner with the fewest jobs in work is next; then the first. One
-/// that has never failed waits for nothing, whenever it was ordered by a clock that was ahead.
+/// The owner with the fewest jobs in work is next, so that nobody's priority keeps others waiting;
+/// of its jobs, and among such owners, the one of the highest priority; then the first. One that
+/// has never failed waits for nothing, whenever it was ordered by a clock that was ahead.
 macro_rules! claim {
     ($lock:literal) => {
         concat!(
@@ -54,7 +55,7 @@ macro_rules! claim {
              AND $5 NOT LIKE '%|' || j.owner || '|%' \
              AND (j.model = $6 OR NOT EXISTS (SELECT 1 FROM workers w \
              WHERE w.model = j.model AND w.seen_at >= $7)) \
-             ORDER BY j.priority DESC, COALESCE(busy.jobs, 0), j.created_at, j.id LIMIT 1",
+             ORDER BY COALESCE(busy.jobs, 0), j.priority DESC, j.created_at, j.id LIMIT 1",
             $lock,
             ") RETURNING *"
         )

@@ -285,17 +285,6 @@ impl JobTable {
         })
     }
 
-    /// Counts the queued jobs that begin before this one, if none of higher priority come.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn ahead(&self, job: &JobRecord) -> Result<i64, JobsError> {
-        const COUNT: &str = "SELECT COUNT(*) FROM jobs WHERE state = 'queued' \
-             AND (priority > $1 OR (priority = $1 AND created_at < $2))";
-        let row = self.row(sqlx::query(COUNT).bind(job.priority).bind(job.created_at)).await?;
-        row.map_or(Ok(0), |row| Ok(row.try_get(0)?))
-    }
-
     /// The finished job that is missed least: its result was fetched longest ago. Of `owner` only,
     /// where one is named.
     ///

@@ -54,7 +54,7 @@ pub enum ModelError {
         /// The file.
         path: PathBuf,
         /// What is wrong in it.
-        problem: &'static str,
+        problem: String,
     },
     /// A graph could not be loaded.
     #[error("{}: ONNX Runtime refuses the graph: {problem}", path.display())]

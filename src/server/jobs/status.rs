@@ -28,7 +28,7 @@ pub(crate) struct JobStatus {
     codes_done: u64,
     /// Pairs of pose codes of the whole dance; 0 while that is not known.
     codes_total: u64,
-    /// Jobs of a higher priority begin first.
+    /// A client's jobs of a higher priority begin first.
     priority: i64,
     /// How often it has begun.
     starts: u64,

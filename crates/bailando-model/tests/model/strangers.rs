@@ -239,6 +239,37 @@ fn graphs_hold_all_their_values() {
     }
 }
 
+/// Loops never end, and constants that unfold fill the memory while the runtime reads the graph.
+#[test]
+fn graphs_run_the_operators_that_ours_have_and_no_others() {
+    let graph_attribute = onnx::bytes(5, &onnx::bytes(6, &onnx::bytes(2, b"body")));
+    let other_domain = onnx::bytes(7, b"com.example");
+    let long = "A".repeat(1_000);
+    for (operator, rest, problem) in [
+        ("Loop", &[][..], "\"Loop\""),
+        ("ConstantOfShape", &[], "\"ConstantOfShape\""),
+        ("Expand", &[], "\"Expand\""),
+        ("Range\n", &[], "\"Range\\n\""),
+        ("", &[], "\"\""),
+        (&long, &[], "too long"),
+        ("Add", &graph_attribute, "inside of the graph"),
+        ("Add", &other_domain, "another domain"),
+    ] {
+        let node = onnx::node(operator, &["motion", "weight"], "codes", rest);
+        let tensor = onnx::tensor(&[1], &[1.0]);
+        let graph = onnx::model(&[onnx::bytes(1, &node), onnx::bytes(5, &tensor)]);
+        let error = Stranger::new().encoder(&graph).unwrap_err();
+        assert!(matches!(error, ModelError::GraphFile { .. }), "{error}");
+        assert!(error.to_string().contains(problem), "{error}");
+    }
+    for part in [20, 25] {
+        let mut graph = onnx::adding(&onnx::tensor(&[1], &[1.0]));
+        graph.extend(onnx::bytes(part, b"any"));
+        let error = Stranger::new().encoder(&graph).unwrap_err().to_string();
+        assert!(error.contains("inside of the graph"), "{error}");
+    }
+}
+
 #[test]
 fn a_tensor_is_not_as_large_as_it_says() {
     for size in [1 << 60, 1 << 40, 1 << 33] {

@@ -50,7 +50,7 @@ const REPLAYED: HeaderName = HeaderName::from_static("idempotency-replayed");
     params(
         RequestOptions,
         ("priority" = Option<i64>, Query,
-            description = "Jobs of a higher priority begin first, -100 to 100. Default: 0."),
+            description = "Your jobs of a higher priority begin first, -100 to 100. Default: 0."),
         ("expires_s" = Option<f64>, Query,
             description = "Seconds after which the job fails if it has not begun, up to a year. \
                 Default: never."),

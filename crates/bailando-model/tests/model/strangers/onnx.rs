@@ -54,7 +54,7 @@ fn value(name: &str) -> Vec<u8> {
 }
 
 /// A `NodeProto`; `rest` are further fields.
-fn node(operator: &str, inputs: &[&str], output: &str, rest: &[u8]) -> Vec<u8> {
+pub(crate) fn node(operator: &str, inputs: &[&str], output: &str, rest: &[u8]) -> Vec<u8> {
     let mut node: Vec<u8> = inputs.iter().flat_map(|name| bytes(1, name.as_bytes())).collect();
     node.extend(bytes(2, output.as_bytes()));
     node.extend(bytes(4, operator.as_bytes()));
