@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
 """Composes three songs of half a minute on which no model was trained, as WAV files.
 
-Usage: scripts/compose-songs.py FOLDER
+Usage: scripts/compose-songs.py FOLDER [--form]
 
-Hip-hop at 90 BPM, house at 128, drum and bass at 175. Every run gives the same songs: noise comes
-from a seeded generator. Needs only Python's standard library.
+Hip-hop at 90 BPM, house at 128, drum and bass at 175. With --form six songs of about a minute
+instead, at 84 to 138 BPM, whose sections return: their form stands in their names, one letter for
+each section of 12 bars or of 8. Every run gives the same songs: noise and notes come from seeded
+generators. Needs only Python's standard library.
 """
 
 import array
+import functools
 import math
 import pathlib
 import random
@@ -52,6 +55,7 @@ def hat(noise, decay=0.02):
     return samples
 
 
+@functools.lru_cache(maxsize=512)
 def tone(midi, length, decay, overtones):
     step = 2 * math.pi * 440 * 2 ** ((midi - 69) / 12) / RATE
     return [
@@ -63,10 +67,11 @@ def tone(midi, length, decay, overtones):
 class Song:
     """A song on a grid of sixteenths."""
 
-    def __init__(self, bpm):
+    def __init__(self, bpm, bars=None):
         self.sixteenth = 60 / bpm / 4
-        self.samples = [0.0] * int(SECONDS * RATE)
-        self.bars = math.ceil(SECONDS / (self.sixteenth * SIXTEENTHS_PER_BAR))
+        bar = self.sixteenth * SIXTEENTHS_PER_BAR
+        self.samples = [0.0] * int((bars * bar if bars else SECONDS) * RATE)
+        self.bars = bars or math.ceil(SECONDS / bar)
 
     def add(self, bar, place, sound, gain=1.0):
         start = round((bar * SIXTEENTHS_PER_BAR + place) * self.sixteenth * RATE)
@@ -137,11 +142,57 @@ def drum_and_bass():
     return song
 
 
+def section(song, letter, bars):
+    """A section of its own chords, drums, bass and tune, the same for every letter of a song."""
+    dice, noise = random.Random(f"{song.sixteenth} {letter}"), random.Random(letter)
+    scale = (0, 2, 3, 5, 7, 8, 10)
+    root = 45 + dice.randrange(12)
+    degrees = [0] + dice.sample(range(1, 7), 3)
+    drums = {
+        kick: dice.choice([(0, 4, 8, 12), (0, 8), (0, 8, 10), (0, 7, 8)]),
+        snare: (4, 12),
+        hat: tuple(range(0, 16, dice.choice((2, 4)))),
+    }
+    bass = sorted({0, 8} | set(dice.sample(range(0, 16, 2), 2)))
+    # A tune of two bars.
+    tune = [(dice.randrange(32), dice.randrange(7)) for _ in range(dice.randrange(6, 12))]
+    loud = dice.uniform(0.05, 0.12)
+    for number, bar in enumerate(bars):
+        def note(degree):
+            octave, step = divmod(degrees[number // 2 % 4] + degree, 7)
+            return root + 12 * octave + scale[step]
+
+        song.drum(bar, drums, noise)
+        for place in bass:
+            song.add(bar, place, tone(note(0) - 12, 0.3, 0.2, (0.45, 0.15)))
+        for degree in (0, 2, 4):
+            song.add(bar, 0, tone(note(degree) + 12, 1.6, 0.8, (loud, loud / 2, loud / 4)))
+        for place, degree in tune:
+            if place // 16 == number % 2:
+                lead = (1.5 * loud, loud, loud / 2)
+                song.add(bar, place % 16, tone(note(degree) + 24, 0.4, 0.15, lead))
+
+
+def formed(bpm, form):
+    bars = 8 if len(form) > 3 else 12
+    song = Song(bpm, bars * len(form))
+    for number, letter in enumerate(form):
+        section(song, letter, range(number * bars, (number + 1) * bars))
+    return song
+
+
+FORMS = {84: "aba", 96: "aba", 108: "abab", 120: "abcb", 128: "abab", 138: "abcab"}
+
+
 def main():
-    if len(sys.argv) != 2:
+    if len(sys.argv) not in (2, 3) or sys.argv[2:] not in ([], ["--form"]):
         sys.exit(__doc__)
     folder = pathlib.Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
+    if sys.argv[2:]:
+        for bpm, form in FORMS.items():
+            formed(bpm, form).write(folder / f"{form}_{bpm}.wav")
+        return
     songs = {"hip_hop_90": hip_hop, "house_128": house, "drum_and_bass_175": drum_and_bass}
     for name, compose in songs.items():
         compose().write(folder / f"{name}.wav")

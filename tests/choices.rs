@@ -34,6 +34,34 @@ fn a_dance_that_may_be_danced_anew_repeats_itself() {
 }
 
 #[test]
+fn what_returns_in_a_song_returns_in_its_dance() {
+    let codes = |form| {
+        let range = AudioRange::default();
+        let options = GenerationOptions { form, range, ..options(1, 0.85, false) };
+        let Codes { upper, lower } = dance_to(&TINY, song("demo.ogg"), &options).codes;
+        upper.into_iter().zip(lower).collect::<Vec<_>>()
+    };
+    // Most codes in a row that are those of five seconds or more before.
+    let repeated = |codes: &[(u32, u32)]| {
+        let longest = |lag: usize| {
+            let is_same = |at: usize| codes[at] == codes[at - lag];
+            let runs = (lag..codes.len()).scan(0, |run, at| {
+                *run = if is_same(at) { *run + 1 } else { 0 };
+                Some(*run)
+            });
+            runs.max().unwrap_or(0)
+        };
+        (38..codes.len()).map(longest).max()
+    };
+    let free = codes(None);
+    assert!(repeated(&free) < Some(8), "{:?}", repeated(&free));
+    assert_eq!(free, codes(Some(false)));
+    // Two phrases of eight counts, 2.3 s each.
+    let formed = codes(Some(true));
+    assert!(repeated(&formed) >= Some(34), "{:?}", repeated(&formed));
+}
+
+#[test]
 fn suppressed_codes_are_never_drawn() {
     let suppressed = &TINY.manifest().suppressed_codes;
     assert!(!suppressed.upper.is_empty() && !suppressed.lower.is_empty());

@@ -81,6 +81,7 @@ fn mistakes_are_named() {
         ("--split validation", 1, "no recording of split validation"),
         (&beats, 1, "no music beats for piece song1"),
         (&music, 1, "no audio named song1, b.ogg, b"),
+        ("--form", 2, "found from their beats"),
         ("--window 2", 2, "too short"),
         ("--stride 150", 2, "--window"),
         ("--window 500", 1, "the reference: 0 windows"),

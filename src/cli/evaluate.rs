@@ -52,7 +52,11 @@ pub(super) struct EvaluateArgs {
     /// figures)
     #[arg(long, value_enum, default_value = "published")]
     kinetic: KineticArg,
-    /// Seed of the random shifts behind the beat score's chance level
+    /// Measure whether bars that are alike in the music are alike in the dance, too. Songs are
+    /// decoded for it: those of --music or --new-songs, else of the data folder
+    #[arg(long)]
+    form: bool,
+    /// Seed of the random shifts and orders behind chance levels
     #[arg(long, default_value_t = 0)]
     chance_seed: u64,
     /// Print JSON instead of a Markdown table
@@ -94,6 +98,7 @@ impl EvaluateArgs {
             seeds: self.seeds,
             styles_from: self.styles_from.clone(),
             style: self.style.clone(),
+            form: self.form,
             chance_seed: self.chance_seed,
         }
     }

@@ -2,7 +2,7 @@
 
 use ndarray::{Array2, Axis, Slice, concatenate};
 
-use super::EngineError;
+use super::{EngineError, form::Form};
 use crate::{features::Rate, formats::MusicInfo};
 
 /// Codes of an earlier motion that are given as the first ones of a motion that continues it.
@@ -15,6 +15,8 @@ pub(crate) struct Conditioning {
     pub(crate) features: Array2<f32>,
     /// Frames of the beats, ascending; none where they are not known.
     pub(crate) beats: Vec<usize>,
+    /// What returns in the song; nothing where it is not wanted, or not known.
+    pub(crate) form: Form,
     /// Tempo, beats and bars for the caller, where they are wanted.
     pub(crate) music: Option<MusicInfo>,
     /// Seconds of audio that are danced to; none for feature rows.
@@ -36,7 +38,14 @@ impl Conditioning {
         } else if features.iter().any(|value| !value.is_finite()) {
             "a value is not a finite number".into()
         } else {
-            return Ok(Self { features, beats, music: None, seconds: None, warnings: Vec::new() });
+            return Ok(Self {
+                features,
+                beats,
+                form: Form::default(),
+                music: None,
+                seconds: None,
+                warnings: Vec::new(),
+            });
         };
         Err(EngineError::Option { name: "features", problem })
     }
@@ -61,6 +70,7 @@ impl Conditioning {
         let first = self.features.slice_axis(Axis(0), Slice::from(..PROMPT_CODES));
         self.features = concatenate(Axis(0), &[first, self.features.view()])
             .unwrap_or_else(|_| unreachable!("both have the same columns"));
+        self.form.after(PROMPT_CODES);
         for beat in &mut self.beats {
             *beat += PROMPT_CODES * frames_per_code;
         }

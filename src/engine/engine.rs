@@ -14,6 +14,7 @@ use super::{
     conditioning::Conditioning,
     decoding::{self, DecodeTask, Prologue},
     effort::DecodeEffort,
+    form::Form,
     frontend::AudioFrontend,
     given::check_music,
     prepare::{AcceptedRequest, AudioRequest, Preparer},
@@ -171,6 +172,7 @@ impl Engine {
         let conditioning = Conditioning {
             features: Array2::zeros((3, self.manifest().features.columns)),
             beats: vec![4, 12, 20],
+            form: Form::default(),
             music: None,
             seconds: None,
             warnings: Vec::new(),

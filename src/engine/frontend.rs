@@ -9,6 +9,7 @@ use super::{
     EngineError, Progress, Stage,
     conditioning::Conditioning,
     effort::{DecodeEffort, Effort},
+    form::Form,
     pool::Pool,
     progress::spent,
 };
@@ -47,6 +48,8 @@ pub(crate) struct Selection {
     pub(crate) music: bool,
     /// Whether beats are needed to choose between candidates.
     pub(crate) is_chosen: bool,
+    /// Whether what returns in the song is to return in the dance.
+    pub(crate) form: bool,
 }
 
 /// Which trackers of beats a request needs.
@@ -114,7 +117,7 @@ impl AudioFrontend {
         progress.stage(Stage::Features);
         let mut conditioning = spent(&mut timings.features, "features", || {
             let found = self.find(audio.signals, trackers, cancel)?;
-            self.conditioning(found, selection.music)
+            self.conditioning(found, selection)
         })?;
         conditioning.warnings = audio.warnings;
         conditioning.seconds = Some(seconds);
@@ -136,7 +139,7 @@ impl AudioFrontend {
             librosa: counts == Some(CountSource::Librosa),
             beatnet: selection.music
                 || counts == Some(CountSource::Beatnet)
-                || counts.is_none() && selection.is_chosen,
+                || counts.is_none() && (selection.is_chosen || selection.form),
         }
     }
 
@@ -188,13 +191,19 @@ impl AudioFrontend {
     }
 
     /// The rows with their counts, and the beats that go with them.
-    fn conditioning(&self, found: Found, music: bool) -> Result<Conditioning, EngineError> {
+    fn conditioning(
+        &self,
+        found: Found,
+        selection: Selection,
+    ) -> Result<Conditioning, EngineError> {
         let Found { rows, librosa, beatnet } = found;
         let counts = match (&librosa, &beatnet) {
             (Some(beats), _) => BeatPhase::find(beats, rows.view()),
             (None, Some(song)) => BeatPhase::of(song, rows.view()),
             (None, None) => None,
         };
+        let form = counts.as_ref().filter(|_| selection.form);
+        let form = form.map(|counts| Form::of(rows.view(), counts)).unwrap_or_default();
         let rows = with_counts(rows, counts.as_ref(), 0.0, &self.spec.count_periods);
         // Rows of librosa's beats and motion frames have one rate, which manifests are checked for.
         let beats = match (librosa, &beatnet) {
@@ -203,8 +212,8 @@ impl AudioFrontend {
             (None, None) => Vec::new(),
         };
         let conditioning = Conditioning::new(rows, beats, self.spec.columns)?;
-        let music = beatnet.filter(|_| music).map(music_info);
-        Ok(Conditioning { music, ..conditioning })
+        let music = beatnet.filter(|_| selection.music).map(music_info);
+        Ok(Conditioning { form, music, ..conditioning })
     }
 }
 
@@ -249,24 +258,25 @@ mod tests {
     #[test]
     fn a_model_follows_the_counts_it_was_trained_with() {
         let (_folder, directory) = directory();
-        let trackers = |counts, count_periods: &[u32], music, is_chosen| {
+        let trackers = |counts, count_periods: &[u32], music, is_chosen, form| {
             let spec = directory.manifest().features.clone();
             let spec = FeatureSpec { counts, count_periods: count_periods.to_vec(), ..spec };
             let frontend =
                 AudioFrontend::new(spec, AudioLimits::default(), DecodeEffort::default());
             let selection =
-                Selection { range: AudioRange::default(), longest: None, music, is_chosen };
+                Selection { range: AudioRange::default(), longest: None, music, is_chosen, form };
             let Trackers { librosa, beatnet } = frontend.trackers(selection);
             (librosa, beatnet)
         };
         use CountSource::{Beatnet, Librosa};
-        assert_eq!(trackers(Librosa, &[], false, false), (false, false));
-        assert_eq!(trackers(Librosa, &[], true, false), (false, true));
-        assert_eq!(trackers(Librosa, &[], false, true), (false, true));
+        assert_eq!(trackers(Librosa, &[], false, false, false), (false, false));
+        assert_eq!(trackers(Librosa, &[], true, false, false), (false, true));
+        assert_eq!(trackers(Librosa, &[], false, true, false), (false, true));
+        assert_eq!(trackers(Librosa, &[], false, false, true), (false, true));
         // The same dance, whether or not beats are told.
-        assert_eq!(trackers(Librosa, &[4], false, true), (true, false));
-        assert_eq!(trackers(Librosa, &[4], true, true), (true, true));
-        assert_eq!(trackers(Beatnet, &[4], false, false), (false, true));
+        assert_eq!(trackers(Librosa, &[4], false, true, true), (true, false));
+        assert_eq!(trackers(Librosa, &[4], true, true, false), (true, true));
+        assert_eq!(trackers(Beatnet, &[4], false, false, true), (false, true));
         let rates = Trackers { librosa: true, beatnet: true }.rates();
         assert_eq!(rates, [3_840, 30_720, 22_050]);
     }

@@ -103,6 +103,7 @@ impl Preparer {
             longest: request.longest,
             music: options.music,
             is_chosen: false,
+            form: false,
         };
         let cancel = request.completion.token();
         let timings = &mut request.prologue.timings;

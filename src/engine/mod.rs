@@ -18,6 +18,7 @@ mod engine;
 mod error;
 #[cfg(test)]
 mod fake;
+mod form;
 mod frontend;
 mod given;
 mod guidance;

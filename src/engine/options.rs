@@ -44,6 +44,9 @@ pub struct GenerationOptions {
     /// ground) is generated again, up to three times and with at most 12 candidates in all. Absent:
     /// as the model says, and where there are several candidates.
     pub redo: Option<bool>,
+    /// Whether the choreography of a section returns where the song's section does. Feature rows
+    /// carry no sections.
+    pub form: Option<bool>,
     /// First upper pose code; drawn from the manifest's list if absent.
     pub start_upper: Option<u32>,
     /// First lower pose code; drawn from the manifest's list if absent.
@@ -102,6 +105,7 @@ impl Default for GenerationOptions {
             guidance: None,
             candidates: None,
             redo: None,
+            form: None,
             start_upper: None,
             start_lower: None,
             continue_from: None,
@@ -315,6 +319,7 @@ impl GenerationOptions {
             ("guidance", self.guidance.is_some()),
             ("candidates", self.candidates.is_some()),
             ("redo", self.redo.is_some()),
+            ("form", self.form.is_some()),
             ("start_upper", self.start_upper.is_some()),
             ("start_lower", self.start_lower.is_some()),
             ("window", self.window.is_some()),

@@ -11,6 +11,7 @@ use super::{
     completion::Completion,
     conditioning::Conditioning,
     decoding::{DecodeTask, MotionBuffer, MotionSink, Prologue},
+    form::FORM,
     frontend::{AudioFrontend, Selection},
     queue::{Entry, Queue},
     scheduler::ScheduledRequest,
@@ -80,6 +81,7 @@ impl Preparer {
             longest: request.longest,
             music: options.music,
             is_chosen: options.candidates(manifest, self.rows) > 1,
+            form: options.form.unwrap_or(FORM),
         };
         let cancel = request.completion.token();
         let timings = &mut request.prologue.timings;

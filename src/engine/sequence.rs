@@ -9,6 +9,7 @@ use super::{
     chunks::{Chunk, ChunkPlan},
     code_model::{CodeModel, SharedDecoder},
     conditioning::{Conditioning, PROMPT_CODES},
+    form::favouring,
     guidance::{ClassifierFreeGuidance, branches},
     options::SamplingParams,
     sampler::Sampler,
@@ -267,22 +268,29 @@ impl Sequence {
         let count = self.candidates.len();
         logits.check_rows(first..first + self.rows())?;
         let guidance = self.guidance.as_ref();
+        let form = &self.request.conditioning.form;
         for (number, Candidate { codes, sampler }) in self.candidates.iter_mut().enumerate() {
             let row = first + number;
-            let mut choose = |logits: &ndarray::Array2<f32>, drawable: &[u32]| {
+            let favoured = form.favoured(codes);
+            let choose = |half: usize| {
+                let logits = [&logits.upper, &logits.lower][half];
+                let drawable = &self.drawable[half];
+                let favoured = favoured.map(|(pair, bonus)| (pair[half], bonus));
                 let with_time = logits.row(row);
                 match guidance {
                     Some(guidance) => {
                         let guided = guidance.guide(with_time, logits.row(row + count));
-                        sampler.next(of_codes(drawable, guided))
+                        sampler.next(favouring(of_codes(drawable, guided), favoured))
                     }
-                    None => sampler.next(of_codes(drawable, with_time.iter().copied())),
+                    None => {
+                        let all = with_time.iter().copied();
+                        sampler.next(favouring(of_codes(drawable, all), favoured))
+                    }
                 }
             };
             // Upper first: one generator serves both halves in this order.
-            let upper = choose(&logits.upper, &self.drawable[0]);
-            let lower = choose(&logits.lower, &self.drawable[1]);
-            codes.push([upper, lower]);
+            let pair = [0, 1].map(choose);
+            codes.push(pair);
         }
         Ok(())
     }

@@ -247,7 +247,7 @@ mod tests {
     fn every_option_is_read() {
         let options = query(
             "format=bvh&fps=24&seed=9007199254740991&temperature=0.5&top_k=7\
-             &style=krump&energy=0.75&guidance=2.5&candidates=3&redo=false\
+             &style=krump&energy=0.75&guidance=2.5&candidates=3&redo=false&form=true\
              &start_upper=1&start_lower=2\
              &continue_from=AgEjRWcAAABAPwAAAAAAAAAAAAEAAgA&window=sliding&hop=15&offset_s=1.5\
              &duration_s=2e1&root_motion=false&mirror=true&clean=false&positions=decoder\
@@ -282,6 +282,7 @@ mod tests {
                 guidance: Some(2.5),
                 candidates: Some(3),
                 redo: Some(false),
+                form: Some(true),
                 start_upper: Some(1),
                 start_lower: Some(2),
                 continue_from: Some(tail),

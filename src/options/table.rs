@@ -192,6 +192,9 @@ options! {
             "Regenerate two to four seconds of motion in which the dancer freezes (with several \
              candidates also: goes to the ground), up to three times and with at most 12 \
              candidates in all.";
+        form: bool, Accepts::Boolean, "false",
+            "Whether the dance has the song's form: where a section of the song returns after \
+             another, its choreography returns.";
         start_upper: u32, ANY_CODE, "drawn", "First pose code of the upper body.";
         start_lower: u32, ANY_CODE, "drawn", "First pose code of the lower body.";
         continue_from: Continuation, Accepts::Tail, "none",

@@ -8,6 +8,7 @@ mod distance;
 mod error;
 mod files;
 mod foot_contact;
+mod form;
 mod geometric;
 mod interval;
 mod kinetic;

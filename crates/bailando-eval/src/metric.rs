@@ -44,6 +44,10 @@ metrics! {
     BeatMargin "beat_margin" "margin over chance" High 4
     "Mean over dance beats: not comparable with Eq. 15."
     BeatAlignDance "beat_align_dance" "beat score over dance beats" High 4
+    "Correlation of the likeness of two bars in the dance with that in the music."
+    Form "form" "agreement of form with the music" High 4
+    "The same with the dance's bars in random order."
+    FormChance "form_chance" "its level for shuffled bars" Alike 4
     "Minima of the smoothed speed per second."
     DanceBeatsPerSecond "dance_beats_per_second" "dance beats per second" Alike 3
     "Share of frames slower than 0.15 m/s."

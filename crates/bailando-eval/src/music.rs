@@ -4,6 +4,7 @@ use std::{
     collections::{BTreeMap, HashMap},
     fs,
     path::{Path, PathBuf},
+    rc::Rc,
 };
 
 use serde::Deserialize;
@@ -12,6 +13,7 @@ use crate::{
     body::FRAMES_PER_SECOND,
     error::EvaluationError,
     files::{entries, stem, text},
+    form::SongForm,
     sets::Reference,
 };
 use bailando_audio::{self as audio, AudioLimits, AudioRange};
@@ -109,6 +111,75 @@ impl MusicBeats {
     }
 }
 
+/// The form of every piece's song.
+#[derive(Debug)]
+pub(crate) struct SongForms(BTreeMap<String, Rc<SongForm>>);
+
+impl SongForms {
+    /// Finds the form of the songs of `pieces`, whose beats are known: files of the folder that
+    /// beats are from, or those of the data folder.
+    ///
+    /// # Errors
+    /// [`EvaluationError`] if a song can't be found or decoded.
+    pub(crate) fn find<'a>(
+        from: &BeatsFrom,
+        beats: &MusicBeats,
+        pieces: impl IntoIterator<Item = &'a str>,
+        reference: &Reference,
+    ) -> Result<Self, EvaluationError> {
+        let folder = match from {
+            BeatsFrom::Audio(folder) | BeatsFrom::NewSongs(folder) => Some(folder),
+            BeatsFrom::Reference | BeatsFrom::File(_) => None,
+        };
+        let files = folder.map(|folder| songs(folder)).transpose()?.unwrap_or_default();
+        let mut extractor = FeatureExtractor::new(Rate::Conditioning, Profile::Librosa011);
+        let mut known: HashMap<PathBuf, Option<Rc<SongForm>>> = HashMap::new();
+        let mut by_piece = BTreeMap::new();
+        for id in pieces {
+            let own = names(id, reference).iter().find_map(|name| files.get(name)).cloned();
+            let audio = reference.info(id).and_then(|piece| piece.audio.as_deref());
+            let path = own.or_else(|| Some(reference.folder.join(audio?)));
+            let path = path.ok_or_else(|| {
+                let problem = format!("piece {id} has no song whose form could be found");
+                EvaluationError::Option(problem)
+            })?;
+            let form = match known.get(&path) {
+                Some(form) => form.clone(),
+                None => {
+                    let rows = extractor.extract(&decode(&path, Rate::Conditioning)?);
+                    let rows =
+                        rows.map_err(|error| EvaluationError::file(&path, error.to_string()));
+                    let form = SongForm::new(rows?.view(), beats.of(id)).map(Rc::new);
+                    known.insert(path, form.clone());
+                    form
+                }
+            };
+            by_piece.extend(form.map(|form| (id.to_owned(), form)));
+        }
+        Ok(Self(by_piece))
+    }
+
+    /// Returns the form of a piece's song; none where it has no regular beats.
+    pub(crate) fn of(&self, id: &str) -> Option<&SongForm> {
+        self.0.get(id).map(Rc::as_ref)
+    }
+}
+
+/// The songs of a folder, by name.
+fn songs(folder: &Path) -> Result<HashMap<String, PathBuf>, EvaluationError> {
+    let files = entries(folder)?.into_iter().filter(|path| is_song(path));
+    Ok(files.map(|path| (stem(&path), path)).collect())
+}
+
+/// Decodes a song.
+fn decode(path: &Path, rate: Rate) -> Result<Vec<f32>, EvaluationError> {
+    let bytes = fs::read(path).map_err(EvaluationError::io(path))?;
+    let (range, limits) = (AudioRange::default(), AudioLimits::default());
+    let decoded = audio::decode(bytes.into(), range, &[rate.hz()], &limits, &CancelToken::new())
+        .map_err(|error| EvaluationError::file(path, error.to_string()))?;
+    Ok(decoded.signals.into_iter().next().unwrap_or_default())
+}
+
 /// Returns the counts of a piece in the data folder.
 fn grid(id: &str, reference: &Reference) -> Option<Vec<usize>> {
     let seconds = &reference.info(id)?.grid_beats_s;
@@ -160,9 +231,8 @@ struct SongBeats {
 
 impl SongBeats {
     fn new(folder: &Path) -> Result<Self, EvaluationError> {
-        let files = entries(folder)?.into_iter().filter(|path| is_song(path));
         Ok(Self {
-            files: files.map(|path| (stem(&path), path)).collect(),
+            files: songs(folder)?,
             extractor: FeatureExtractor::new(Rate::Beats, Profile::Librosa011),
             known: HashMap::new(),
         })
@@ -172,12 +242,7 @@ impl SongBeats {
         if let Some(beats) = self.known.get(path) {
             return Ok(beats.clone());
         }
-        let bytes = fs::read(path).map_err(EvaluationError::io(path))?;
-        let (range, limits) = (AudioRange::default(), AudioLimits::default());
-        let rates = [Rate::Beats.hz()];
-        let decoded = audio::decode(bytes.into(), range, &rates, &limits, &CancelToken::new())
-            .map_err(|error| EvaluationError::file(path, error.to_string()))?;
-        let beats = self.extractor.beats(&decoded.signals[0]);
+        let beats = self.extractor.beats(&decode(path, Rate::Beats)?);
         let beats = beats.map_err(|error| EvaluationError::file(path, error.to_string()))?;
         self.known.insert(path.to_owned(), beats.frames.clone());
         Ok(beats.frames)

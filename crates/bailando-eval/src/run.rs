@@ -10,7 +10,7 @@ use crate::{
     error::EvaluationError,
     files::{entries, stem},
     kinetic::KineticForm,
-    music::{BeatsFrom, MusicBeats},
+    music::{BeatsFrom, MusicBeats, SongForms},
     recitation::TrainingTakes,
     report::{Protocol, Report},
     scores::{Evaluator, ReferenceSpace},
@@ -44,7 +44,10 @@ pub struct EvaluationOptions {
     pub styles_from: Vec<PathBuf>,
     /// The style that all generated motions were asked for; none: that of their pieces.
     pub style: Option<String>,
-    /// Seed of the random shifts behind the chance level.
+    /// Whether to measure how far the form of dances agrees with that of their songs, which are
+    /// decoded for it.
+    pub form: bool,
+    /// Seed of the random shifts and orders behind chance levels.
     pub chance_seed: u64,
 }
 
@@ -61,9 +64,11 @@ pub fn evaluate(options: &EvaluationOptions) -> Result<Report, EvaluationError> 
     warn_of_short_motions(options.clips, &reference, &sets, &mut warnings);
     let whole = reference.whole.motions();
     let train = reference.train.motions();
+    let beats = music_beats(&options.beats, &reference, &sets)?;
     let evaluator = Evaluator {
+        forms: song_forms(options, beats.as_ref(), &reference, &sets)?,
         reference: ReferenceSpace::new(whole, options.clips, options.kinetic)?,
-        beats: music_beats(&options.beats, &reference, &sets)?,
+        beats,
         takes: (!train.is_empty()).then(|| TrainingTakes::new(train)),
         styles: style_recognition(&options.styles_from)?,
         seed: options.chance_seed,
@@ -233,9 +238,35 @@ fn music_beats(
     reference: &Reference,
     sets: &[NamedSet],
 ) -> Result<Option<MusicBeats>, EvaluationError> {
+    MusicBeats::find(from, pieces(from, reference, sets), reference)
+}
+
+fn song_forms(
+    options: &EvaluationOptions,
+    beats: Option<&MusicBeats>,
+    reference: &Reference,
+    sets: &[NamedSet],
+) -> Result<Option<SongForms>, EvaluationError> {
+    let from = &options.beats;
+    match (options.form, beats) {
+        (false, _) => Ok(None),
+        (true, None) => Err(EvaluationError::Option(
+            "the form of songs is found from their beats, and none are given".into(),
+        )),
+        (true, Some(beats)) => {
+            SongForms::find(from, beats, pieces(from, reference, sets), reference).map(Some)
+        }
+    }
+}
+
+/// The pieces that have songs.
+fn pieces<'a>(
+    from: &BeatsFrom,
+    reference: &'a Reference,
+    sets: &'a [NamedSet],
+) -> impl Iterator<Item = &'a str> {
     // New songs are no pieces of the reference.
     let own = (!matches!(from, BeatsFrom::NewSongs(_))).then_some(&reference.test);
     let all = own.into_iter().chain(sets.iter().map(|(_, set)| set));
-    let pieces = all.flat_map(|set| set.pieces.iter().map(|piece| piece.id.as_str()));
-    MusicBeats::find(from, pieces, reference)
+    all.flat_map(|set| set.pieces.iter().map(|piece| piece.id.as_str()))
 }

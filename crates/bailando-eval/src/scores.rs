@@ -12,11 +12,12 @@ use crate::{
     clips::Clips,
     distance::{Standard, diversity, frechet_distance},
     error::EvaluationError,
+    form::FormScore,
     geometric::{GEOMETRIC_FEATURES, geometric_features},
     kinetic::{KINETIC_FEATURES, KineticForm, kinetic_features},
     metric::{Metric, Scores},
     motion_quality::MotionQuality,
-    music::MusicBeats,
+    music::{MusicBeats, SongForms},
     recitation::TrainingTakes,
     sets::MotionSet,
     skeletal::SkeletalQuality,
@@ -142,11 +143,13 @@ pub(crate) struct Evaluator {
     pub(crate) reference: ReferenceSpace,
     /// For beat scores; none: they are left out.
     pub(crate) beats: Option<MusicBeats>,
+    /// For the agreement of forms; none: it is left out.
+    pub(crate) forms: Option<SongForms>,
     /// For recitation; none: it is left out.
     pub(crate) takes: Option<TrainingTakes>,
     /// For the recognition of styles; none: it is left out.
     pub(crate) styles: Option<StyleRecognition>,
-    /// Seed of the random shifts behind the chance level.
+    /// Seed of the random shifts and orders behind chance levels.
     pub(crate) seed: u64,
 }
 
@@ -163,10 +166,13 @@ impl Evaluator {
         styles.map(|(style, set)| (style.to_owned(), score(&set))).collect()
     }
 
-    /// Scores pieces by what is known of their songs: beats and styles.
+    /// Scores pieces by what is known of their songs: beats, form and styles.
     fn score_songs(&self, scores: &mut Scores, set: &MotionSet) {
         if let Some(beats) = &self.beats {
             score_beats(scores, set, beats, self.seed);
+        }
+        if let Some(forms) = &self.forms {
+            score_forms(scores, set, forms, self.seed);
         }
         if let Some(styles) = &self.styles {
             score_styles(scores, set, styles);
@@ -255,6 +261,19 @@ fn score_beats(scores: &mut Scores, set: &MotionSet, beats: &MusicBeats, seed: u
     set_means(scores, &each, &means);
 }
 
+fn score_forms(scores: &mut Scores, set: &MotionSet, forms: &SongForms, seed: u64) {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let scored = set.pieces.iter().filter_map(|piece| {
+        FormScore::new(piece.motion.poses(), forms.of(&piece.id)?, &mut random)
+    });
+    let each: Vec<FormScore> = scored.collect();
+    let means: [Mean<FormScore>; 2] = [
+        (Metric::Form, |score| Some(score.agreement)),
+        (Metric::FormChance, |score| Some(score.chance)),
+    ];
+    set_means(scores, &each, &means);
+}
+
 fn score_styles(scores: &mut Scores, set: &MotionSet, styles: &StyleRecognition) {
     let counts = set
         .pieces
@@ -325,6 +344,7 @@ mod tests {
         let evaluator = Evaluator {
             reference: ReferenceSpace::new(reference, clips, form)?,
             beats: None,
+            forms: None,
             takes: Some(TrainingTakes::new(reference)),
             styles: None,
             seed: 0,

@@ -44,6 +44,7 @@ mod decimate;
 mod error;
 mod extractor;
 mod fft;
+mod form;
 mod halves;
 mod hpss;
 mod istft;
@@ -66,6 +67,7 @@ pub use self::{
     beats::{BeatFinder, SongBeats},
     error::FeatureError,
     extractor::{FeatureExtractor, Stages},
+    form::{Phrases, Return, SelfSimilarity, returns},
     layout::{
         BEAT_COLUMN, CHROMA_COLUMNS, COLUMNS, DELTA_COLUMNS, HOP, MFCC_COLUMNS, ONSET_COLUMN,
         Profile, Rate, TEMPOGRAM_COLUMNS,

@@ -113,6 +113,26 @@ impl BeatPhase {
         counts + self.first as f64
     }
 
+    /// Returns the seconds from the song's start at which so many counts have passed since the
+    /// start of a phrase before the song: the inverse of [`BeatPhase::at`].
+    #[must_use]
+    pub fn second_of(&self, counts: f64) -> f64 {
+        let place = counts - self.first as f64;
+        let last = self.counts_s.len().saturating_sub(1);
+        let before = (place.max(0.0) as usize).min(last.saturating_sub(1));
+        match (self.counts_s.get(before), self.counts_s.get(before + 1)) {
+            (Some(&from), Some(&to)) => {
+                let within = place - before as f64;
+                match (0.0..=1.0).contains(&within) {
+                    true => from + within * (to - from),
+                    false if within < 0.0 => from + within * self.period_s,
+                    false => to + (within - 1.0) * self.period_s,
+                }
+            }
+            _ => 0.0,
+        }
+    }
+
     /// Returns sine and cosine of the place within each of `periods` (in counts), `[rows, 2
     /// periods]`; row `k` lies `k` conditioning rows after `start_s`.
     #[must_use]
@@ -244,6 +264,10 @@ mod tests {
                 let later = counts.at(seconds + 1.0 / 3.0);
                 let step = later - phase;
                 assert!((step - 1.0).abs() < 0.1, "{period}: {phase} {later}");
+            }
+            for counted in [-3.5, 0.25, 17.0, 90.0] {
+                let seconds = counts.second_of(counted);
+                assert!((counts.at(seconds) - counted).abs() < 1e-9, "{period}: {counted}");
             }
             // Before the first and after the last beat as well.
             assert!(distance(counts.at(0.5 - 4.0 / 3.0), 4.0) < 0.15);

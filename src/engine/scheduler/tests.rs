@@ -12,6 +12,7 @@ use crate::{
         decoding::{self, Prologue},
         effort::DecodeEffort,
         fake::{FakeDecoder, FakeModel, Script, directory},
+        form::Form,
         frontend::AudioFrontend,
         prepare::{AcceptedRequest, Preparer},
         queue::Queue,
@@ -45,6 +46,7 @@ struct Asked {
     codes: usize,
     value: f32,
     beats: Vec<usize>,
+    form: Form,
 }
 
 fn asked(seed: u64, codes: usize) -> Asked {
@@ -53,6 +55,7 @@ fn asked(seed: u64, codes: usize) -> Asked {
         codes,
         value: seed as f32,
         beats: Vec::new(),
+        form: Form::default(),
     }
 }
 
@@ -116,6 +119,7 @@ impl Harness {
                 _ => (row * 31 + column) as f32,
             }),
             beats: asked.beats,
+            form: asked.form,
             music: None,
             seconds: None,
             warnings: Vec::new(),
@@ -405,4 +409,20 @@ fn begun_requests_are_bounded() {
     assert_eq!(generations.len(), 2);
     harness.steps(1);
     assert!(harness.scheduler.has_place());
+}
+
+#[test]
+fn what_returns_in_the_song_returns_in_the_dance() {
+    for rows in [1, 3] {
+        let codes = |form: Form| {
+            let codes = Harness::alone(Asked { form, ..wide(5, 40, rows) }).codes;
+            crate::model::code_pairs(&codes.upper, &codes.lower).unwrap()
+        };
+        let (formed, free) = (codes(Form::example()), codes(Form::default()));
+        assert_eq!(formed[20..30], formed[..10]);
+        assert_ne!(formed[30..], formed[10..20]);
+        assert_ne!(free[20..30], free[..10]);
+        // Of several candidates another may be the best.
+        assert!(rows > 1 || formed[..15] == free[..15]);
+    }
 }

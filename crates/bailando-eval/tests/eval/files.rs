@@ -94,8 +94,9 @@ fn motions_to_new_songs_are_no_pieces_of_the_reference() {
         beats: BeatsFrom::NewSongs(songs.clone()),
         ..options(&generated, &reference)
     };
-    let report = evaluate(&new).unwrap();
+    let report = evaluate(&EvaluationOptions { form: true, ..new.clone() }).unwrap();
     assert!(report.generated.get(Metric::BeatMargin).is_some());
+    assert_eq!(report.reference.get(Metric::Form), None);
     assert_eq!(report.reference.get(Metric::BeatAlign), None);
     assert!(report.generated.get(Metric::FidK).is_some());
     std::fs::remove_file(songs.join("new1.wav")).unwrap();

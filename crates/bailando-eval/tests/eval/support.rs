@@ -49,6 +49,7 @@ pub(crate) fn options(generated: &Path, reference: &Path) -> EvaluationOptions {
         seeds: None,
         styles_from: Vec::new(),
         style: None,
+        form: false,
         chance_seed: 0,
     }
 }
