@@ -58,15 +58,41 @@ const BONES = [
 /** A VRM character of boxes; of version 1, or of version 0, which faces the other way. */
 export function vrm(version = 1) {
   const turn = version === 0 ? -1 : 1;
-  const nodes = BONES.map(([name, , [x, y, z]]) => ({
+  const bones = BONES.map(([name, parent, [x, y, z]]) => [name, parent, [x * turn, y, z * turn]]);
+  const named = BONES.map(([name], node) => [name, node]);
+  return character(bones, version === 0 ? version0(named) : version1(named));
+}
+
+/** The same character as a GLB whose bones are named as by Mixamo. */
+export function mixamo() {
+  const parts = {
+    spine: 'Spine1',
+    chest: 'Spine2',
+    UpperArm: 'Arm',
+    LowerArm: 'ForeArm',
+    UpperLeg: 'UpLeg',
+    LowerLeg: 'Leg',
+  };
+  const renamed = (name) => {
+    const [, side = '', part] = /^(left|right)?(.*)$/.exec(name);
+    const word = parts[part] ?? part;
+    return `mixamorig:${[side, word].map((s) => s.slice(0, 1).toUpperCase() + s.slice(1)).join('')}`;
+  };
+  return character(
+    BONES.map(([name, parent, at]) => [renamed(name), parent && renamed(parent), at]),
+  );
+}
+
+/** A glTF character with a box at each bone. */
+export function character(bones, more = {}) {
+  const nodes = bones.map(([name, , translation]) => ({
     name: `bone_${name}`,
     mesh: 0,
-    translation: [x * turn, y, z * turn],
-    children: BONES.flatMap(([, parent], i) => (parent === name ? [i] : [])),
+    translation,
+    children: bones.flatMap(([, parent], i) => (parent === name ? [i] : [])),
   }));
   for (const node of nodes) if (node.children.length === 0) delete node.children;
   const bin = box();
-  const bones = BONES.map(([name], node) => [name, node]);
   const json = {
     asset: { version: '2.0' },
     scene: 0,
@@ -90,7 +116,7 @@ export function vrm(version = 1) {
       { buffer: 0, byteOffset: 96, byteLength: 72 },
     ],
     buffers: [{ byteLength: bin.length }],
-    ...(version === 0 ? version0(bones) : version1(bones)),
+    ...more,
   };
   return glb(json, bin);
 }

@@ -1,9 +1,11 @@
 // A server and a browser for the tests.
 //
 // BAILANDO: the server's binary, or the address of one that runs; default target/debug/bailando.
+// PAGE=dist: the page as it lies in web/dist, not as the binary has it.
 // CHROMIUM: the browser; default: the first of chromium, chromium-browser, google-chrome.
 import assert from 'node:assert/strict';
 import { spawn, spawnSync } from 'node:child_process';
+import { readFile } from 'node:fs/promises';
 import { join } from 'node:path';
 import { after, before, test } from 'node:test';
 import { chromium } from 'playwright-core';
@@ -34,7 +36,7 @@ export async function startServer(...more) {
     child.on('exit', (code) => reject(new Error(`the server ended with ${code}: ${log}`)));
     child.on('error', reject);
   });
-  return { address, stop: () => child.kill() };
+  return { address, stop: (signal) => child.kill(signal) };
 }
 
 export async function startBrowser() {
@@ -60,9 +62,18 @@ export async function startBrowser() {
   });
 }
 
+const ofPage = ({ pathname }) => pathname === '/' || pathname.startsWith('/viewer/');
+/** Answers with a file of web/dist under the headers, and so the policy, of the server. */
+async function fromDist(route) {
+  const { pathname } = new URL(route.request().url());
+  const path = join(project, 'web/dist', pathname === '/' ? 'index.html' : pathname);
+  await route.fulfill({ response: await route.fetch(), body: await readFile(path) });
+}
+
 /** Opens the page and waits until the figure stands; `problems` are errors and foreign requests. */
 export async function openPage(browser, address, options = {}) {
   const context = await browser.newContext({ viewport: { width: 640, height: 480 }, ...options });
+  if (process.env.PAGE === 'dist') await context.route(ofPage, fromDist);
   const page = await context.newPage();
   page.setDefaultTimeout(180_000);
   const problems = [];

@@ -173,6 +173,8 @@ export class App {
     if (this.memory.open) this.closeMemory();
     const running = (this.running = new AbortController());
     this.banner.hide();
+    // On a phone the form is below the scene.
+    scrollTo(0, 0);
     this.editor.show(null, 0, true);
     this.setState('generating');
     this.say('Listening to the song…');
@@ -193,7 +195,6 @@ export class App {
       const generated = generate(this.server, song, this.dancers, running.signal, {
         started: (dancer) => this.started(dancer, offset),
         arrived: () => this.arrived(running),
-        warned: (text) => this.say(text),
       });
       await Promise.all([generated, this.cast.show(skeleton, this.dancers)]);
     } catch (error) {
@@ -266,10 +267,10 @@ export class App {
       this.player.duration = this.player.available;
       this.bar.timeline.show({ duration: this.player.duration });
     }
-    const silent = this.player.silent;
-    const sound = 'The browser cannot play this song: the dance is shown without sound.';
-    if (silent) this.say(sound);
-    else if (document.body.dataset.state !== 'generating') this.say('');
+    const silent = 'The browser cannot play this song: the dance is shown without sound.';
+    const said = this.dancers.flatMap(({ warnings }) => warnings ?? []);
+    if (this.player.silent) said.unshift(silent);
+    this.say([...new Set(said)].join(' '));
     this.results.refresh();
     this.edit(true);
     this.stage.invalidate();
@@ -293,7 +294,6 @@ export class App {
       const reports = {
         started: () => undefined,
         arrived: () => undefined,
-        warned: (text: string) => this.say(text),
       };
       await generate(this.server, null, [fresh], signal, reports);
     } catch (error) {

@@ -10,6 +10,8 @@ export interface Dancer {
   options: Options;
   dance: Dance | null;
   state: DancerState;
+  /** What the server trimmed or assumed. */
+  warnings?: string[];
 }
 
 /** Options that still mean something where the codes are given. */

@@ -8,8 +8,6 @@ export interface Reports {
   started(dancer: Dancer): void;
   /** More frames have arrived. */
   arrived(dancer: Dancer): void;
-  /** Something was trimmed or assumed. */
-  warned(text: string): void;
 }
 
 /** Generates the dances of all `dancers` at the same time; fails with the first that fails. */
@@ -38,7 +36,7 @@ async function one(
       if (event.event === 'start') {
         dancer.dance = new Dance(event);
         dancer.state = 'streaming';
-        event.warnings?.forEach((text) => reports.warned(text));
+        dancer.warnings = event.warnings ?? [];
         reports.started(dancer);
       } else if (event.event === 'frames') {
         dancer.dance?.append(event);

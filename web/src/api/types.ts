@@ -84,7 +84,6 @@ export interface DoneEvent {
   event: 'done';
   frames: number;
   codes: Codes;
-  warnings?: string[];
 }
 
 export interface ErrorEvent extends ErrorBody {

@@ -1,6 +1,6 @@
 import type { Codebooks, Codes } from '../api/types';
 import { Blocks } from '../ui/blocks';
-import { byId, press } from '../ui/dom';
+import { byId, press, typedCode } from '../ui/dom';
 import { type Block, repeated, replaced } from './codes';
 
 /** Pairs in a second. */
@@ -86,13 +86,13 @@ export class Editor {
   private async replace(): Promise<void> {
     const { block, codes } = this;
     const input = byId<HTMLInputElement>('edit-code');
-    const code = Number(input.value);
-    if (!block || !codes || input.value.trim() === '') return;
+    if (!block || !codes) return;
     const books = await this.books().catch(() => null);
-    const most = Math.min(...block.halves.map((half) => books?.[half] ?? Infinity)) - 1;
-    const fits = Number.isInteger(code) && code >= 0 && code <= most;
-    input.setCustomValidity(fits ? '' : `a whole number from 0 to ${most}`);
-    if (!input.reportValidity()) return;
+    const code = typedCode(
+      input,
+      Math.min(...block.halves.map((half) => books?.[half] ?? Infinity)),
+    );
+    if (code === null) return;
     this.change(replaced(codes, block, code), block.from);
   }
 

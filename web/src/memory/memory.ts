@@ -62,7 +62,7 @@ export class Memory {
     const options = { codes: JSON.stringify(codes), clean: 'false', seed: '0' };
     const dancer: Dancer = { ...this.dancer, options, dance: null, state: 'waiting' };
     try {
-      const quiet = { started: () => {}, arrived: () => {}, warned: () => {} };
+      const quiet = { started: () => {}, arrived: () => {} };
       await generate(this.server, null, [dancer], running.signal, quiet);
     } catch (error) {
       if (!running.signal.aborted) this.failed(error);

@@ -1,6 +1,6 @@
 import type { Codebooks, CodeUses } from '../api/types';
 import { type Half, HALVES } from '../edit/codes';
-import { byId, make, press } from '../ui/dom';
+import { byId, make, press, typedCode } from '../ui/dom';
 
 /** A pair of codes; `null` where a half has none. */
 export type Pair = Record<Half, number>;
@@ -29,11 +29,13 @@ export class MemoryPanel {
     });
     for (const half of HALVES) {
       this.input(half).addEventListener('change', () => {
-        const code = this.read(this.input(half), half);
+        const code = typedCode(this.input(half), this.count(half));
         if (code !== null) this.choose({ ...this.pair, [half]: code }, null);
       });
       this.input(half, 'then-').addEventListener('change', () => {
-        const code = this.read(this.input(half, 'then-'), half);
+        const input = this.input(half, 'then-');
+        if (input.value === '') return this.choose(this.pair, null);
+        const code = typedCode(input, this.count(half));
         if (code !== null) this.choose(this.pair, { ...(this.then ?? this.pair), [half]: code });
       });
     }
@@ -47,10 +49,6 @@ export class MemoryPanel {
     const most = (half: Half, at: 0 | 1) => (books.memory ? this.ranking(half)[0] : start[at]);
     byId('memory-sort').parentElement!.hidden = !books.memory;
     byId('memory-uses').hidden = !books.memory;
-    for (const half of HALVES) {
-      const last = books[half] - 1;
-      for (const input of [this.input(half), this.input(half, 'then-')]) input.max = String(last);
-    }
     this.list();
     this.choose({ upper: most('upper', 0), lower: most('lower', 1) }, null);
   }
@@ -72,10 +70,8 @@ export class MemoryPanel {
     return byId<HTMLInputElement>(`memory-${which}${half}`);
   }
 
-  private read(input: HTMLInputElement, half: Half): number | null {
-    const code = Number(input.value);
-    const fits = input.value.trim() !== '' && Number.isInteger(code) && code >= 0;
-    return fits && code < (this.books?.[half] ?? 0) ? code : null;
+  private count(half: Half): number {
+    return this.books?.[half] ?? 0;
   }
 
   private uses(half: Half, code: number): CodeUses | undefined {
@@ -83,7 +79,7 @@ export class MemoryPanel {
   }
 
   private ranking(half: Half): number[] {
-    const codes = Array.from({ length: this.books?.[half] ?? 0 }, (_, code) => code);
+    const codes = Array.from({ length: this.count(half) }, (_, code) => code);
     const used = (code: number) => this.uses(half, code)?.uses ?? 0;
     const sort = byId<HTMLSelectElement>('memory-sort').value;
     return sort === 'number' ? codes : codes.sort((a, b) => used(b) - used(a));

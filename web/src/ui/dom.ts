@@ -23,6 +23,14 @@ export function clockText(seconds: number): string {
   return `${Math.floor(tenths / 600)}:${rest}`;
 }
 
+/** The code that was typed, one of `count`; where it is none, the browser says what is accepted. */
+export function typedCode(input: HTMLInputElement, count: number): number | null {
+  const code = Number(input.value);
+  const fits = input.value.trim() !== '' && Number.isInteger(code) && code >= 0 && code < count;
+  input.setCustomValidity(fits ? '' : `A whole number from 0 to ${count - 1}.`);
+  return input.reportValidity() ? code : null;
+}
+
 /** Sets a toggle button. */
 export function press(button: HTMLElement, pressed: boolean): void {
   button.setAttribute('aria-pressed', String(pressed));

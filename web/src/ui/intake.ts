@@ -2,6 +2,13 @@ import { canRecord, LONGEST, record, type Recording } from '../audio/recorder';
 import demo from '../demo.mp3?url';
 import { byId, press } from './dom';
 
+/** What browsers mean by the names of their errors. */
+const REFUSALS: Record<string, string> = {
+  NotAllowedError: 'The browser does not allow the microphone.',
+  NotFoundError: 'There is no microphone.',
+  NotReadableError: 'The microphone is in use by another program.',
+};
+
 /** Ways to bring a song or a character: choose, drop, record, or take ours. */
 export class Intake {
   private recording: Recording | null = null;
@@ -53,8 +60,8 @@ export class Intake {
       press(button, true);
       this.song(await this.recording.song);
     } catch (error) {
-      const refused = error instanceof DOMException && error.name === 'NotAllowedError';
-      this.failed(refused ? 'The browser does not allow the microphone.' : error);
+      const said = error instanceof DOMException ? REFUSALS[error.name] : undefined;
+      this.failed(said ?? error);
     } finally {
       this.recording = null;
       press(button, false);
