@@ -5,7 +5,7 @@
 // CHROMIUM: the browser; default: the first of chromium, chromium-browser, google-chrome.
 import assert from 'node:assert/strict';
 import { spawn, spawnSync } from 'node:child_process';
-import { readFile } from 'node:fs/promises';
+import { readdirSync, readFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { after, before, test } from 'node:test';
 import { chromium } from 'playwright-core';
@@ -63,11 +63,21 @@ export async function startBrowser() {
 }
 
 const ofPage = ({ pathname }) => pathname === '/' || pathname.startsWith('/viewer/');
+// Read at once: a build meanwhile does not mix with what is tested.
+const dist = new Map();
+if (process.env.PAGE === 'dist') {
+  const folder = join(project, 'web/dist');
+  for (const name of [
+    'index.html',
+    ...readdirSync(join(folder, 'viewer')).map((n) => `viewer/${n}`),
+  ])
+    dist.set(name, readFileSync(join(folder, name)));
+}
 /** Answers with a file of web/dist under the headers, and so the policy, of the server. */
 async function fromDist(route) {
   const { pathname } = new URL(route.request().url());
-  const path = join(project, 'web/dist', pathname === '/' ? 'index.html' : pathname);
-  await route.fulfill({ response: await route.fetch(), body: await readFile(path) });
+  const body = dist.get(pathname === '/' ? 'index.html' : pathname.slice(1));
+  await route.fulfill({ response: await route.fetch(), body });
 }
 
 /** Opens the page and waits until the figure stands; `problems` are errors and foreign requests. */

@@ -12,7 +12,7 @@ import { Skeleton } from './motion/skeleton';
 import type { BuildName } from './scene/body';
 import { Stage } from './scene/stage';
 import { Banner } from './ui/banner';
-import { byId, clockText } from './ui/dom';
+import { byId, clockText, sizeText } from './ui/dom';
 import { Intake } from './ui/intake';
 import { OptionsForm } from './ui/options';
 import { Results } from './ui/results';
@@ -54,6 +54,7 @@ export class App {
   private dancers: Dancer[] = [];
   private running: AbortController | null = null;
   private shownContacts = -1;
+  private figure: BuildName | 'own' = 'female';
 
   constructor() {
     document.body.dataset.drawing = this.stage.software ? 'software' : 'card';
@@ -77,7 +78,11 @@ export class App {
     byId('memory-open').addEventListener('click', () => void this.openMemory());
     this.memory.panel.onclose = () => this.closeMemory();
     this.editor.onchange = (codes, from) => void this.edited(codes, from);
-    byId('dancers').addEventListener('change', () => this.edit(true));
+    byId('dancers').addEventListener('change', () => {
+      this.shownContacts = -1;
+      this.contacts();
+      this.edit(true);
+    });
     this.figures();
     const dark = matchMedia('(prefers-color-scheme: dark)');
     const paint = () => this.stage.paint(dark.matches ? 'dark' : 'light');
@@ -128,7 +133,7 @@ export class App {
   private take(song: File): void {
     this.song = song;
     byId('song-name').textContent = song.name;
-    byId('song-detail').textContent = `${(song.size / 1e6).toFixed(1)} MB`;
+    byId('song-detail').textContent = sizeText(song.size);
     byId<HTMLButtonElement>('dance').disabled = this.info === null;
     if (this.info) void this.dance();
   }
@@ -152,10 +157,11 @@ export class App {
       this.player.duration = this.player.available = dance.duration;
       this.bar.reset(undefined);
       this.bar.timeline.show({ duration: dance.duration, available: dance.duration, offset: 0 });
+      this.results.show(song, this.dancers);
+      byId('result').hidden = true;
       this.shownContacts = -1;
       this.contacts();
       this.editor.show(null, 0, true);
-      byId('result').hidden = true;
       this.setState('ready');
       this.say(file.name);
       void this.player.play();
@@ -209,9 +215,8 @@ export class App {
 
   private drawn(song: File, found: Awaited<ReturnType<typeof waveform>>): void {
     this.bar.timeline.show({ waveform: found });
-    const size = `${(song.size / 1e6).toFixed(1)} MB`;
     const length = found ? `${clockText(found.seconds)} · ` : '';
-    byId('song-detail').textContent = length + size;
+    byId('song-detail').textContent = length + sizeText(song.size);
   }
 
   private started(dancer: Dancer, offset: number): void {
@@ -250,7 +255,7 @@ export class App {
   }
 
   private contacts(): void {
-    const dance = this.dancers[0]?.dance;
+    const dance = this.results.chosen?.dance;
     if (!dance || dance.available === this.shownContacts) return;
     this.shownContacts = dance.available;
     this.bar.timeline.show(footContacts(dance));
@@ -269,7 +274,7 @@ export class App {
     }
     const silent = 'The browser cannot play this song: the dance is shown without sound.';
     const said = this.dancers.flatMap(({ warnings }) => warnings ?? []);
-    if (this.player.silent) said.unshift(silent);
+    if (some && this.player.silent) said.unshift(silent);
     this.say([...new Set(said)].join(' '));
     this.results.refresh();
     this.edit(true);
@@ -335,11 +340,13 @@ export class App {
 
   private figures(): void {
     const file = byId<HTMLInputElement>('avatar');
-    byId('figures').addEventListener('change', (event) => {
+    byId('figures').addEventListener('click', (event) => {
       const { value } = event.target as HTMLInputElement;
+      // Also where it is chosen already: for another character.
       if (value === 'own') file.click();
-      else void this.choose(value as BuildName);
+      else if (value) void this.choose(value as BuildName);
     });
+    file.addEventListener('cancel', () => this.checkFigure());
     file.addEventListener('change', () => {
       if (file.files?.[0]) void this.choose(file.files[0]);
       file.value = '';
@@ -352,11 +359,16 @@ export class App {
     try {
       await this.cast.choose(this.skeleton, figure);
       const own = figure instanceof File;
-      const value = own ? 'own' : figure;
-      byId('figures').querySelector<HTMLInputElement>(`[value=${value}]`)!.checked = true;
+      this.figure = own ? 'own' : figure;
       if (own) detail.textContent = figure.name;
     } catch (error) {
       this.banner.show(error);
     }
+    this.checkFigure();
+  }
+
+  /** Marks the figure that is shown, whatever was asked for. */
+  private checkFigure(): void {
+    byId('figures').querySelector<HTMLInputElement>(`[value=${this.figure}]`)!.checked = true;
   }
 }

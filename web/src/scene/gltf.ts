@@ -16,5 +16,13 @@ export async function readGltf(
   manager.setURLModifier((url) => (/^(blob|data):/.test(url) ? url : 'data:,'));
   const loader = new GLTFLoader(manager);
   loader.register(plugin);
-  return loader.parseAsync(await file.arrayBuffer(), '');
+  try {
+    return await loader.parseAsync(await file.arrayBuffer(), '');
+  } catch (cause) {
+    const compressed = /draco|meshopt|ktx2/i.exec(String(cause))?.[0];
+    const text = compressed
+      ? `Files that are compressed with ${compressed} cannot be read.`
+      : 'The file is damaged, or no VRM, GLB or VRM animation.';
+    throw new Error(text, { cause });
+  }
 }

@@ -23,6 +23,11 @@ export function clockText(seconds: number): string {
   return `${Math.floor(tenths / 600)}:${rest}`;
 }
 
+/** `4.2 MB`, `17 kB` */
+export function sizeText(bytes: number): string {
+  return bytes < 1e6 ? `${Math.ceil(bytes / 1e3)} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
+}
+
 /** The code that was typed, one of `count`; where it is none, the browser says what is accepted. */
 export function typedCode(input: HTMLInputElement, count: number): number | null {
   const code = Number(input.value);

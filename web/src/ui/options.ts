@@ -21,8 +21,13 @@ const OWN = [
   'loop',
   'bars',
 ];
-/** Options that change the file but not the dance. */
-const OF_FILES = ['fps', 'bvh_unit', 'skeleton'];
+/** Options that change the file but not the dance, and the formats that have them: all, or these. */
+const OF_FILES: Record<string, string[] | null> = {
+  fps: null,
+  bvh_unit: ['bvh'],
+  skeleton: ['bvh', 'glb', 'fbx'],
+  mannequin: ['glb'],
+};
 type Control = HTMLInputElement | HTMLSelectElement;
 
 /** The options of a generation: the usual ones, and whatever else the server offers. */
@@ -61,12 +66,12 @@ export class OptionsForm {
     this.build(
       byId('options'),
       this.dance,
-      rest.filter(({ name }) => !OF_FILES.includes(name)),
+      rest.filter(({ name }) => !(name in OF_FILES)),
     );
     this.build(
       byId('file-options'),
       this.file,
-      rest.filter(({ name }) => OF_FILES.includes(name)),
+      rest.filter(({ name }) => name in OF_FILES),
     );
     byId('more').hidden = this.dance.length === 0;
     byId('format').replaceChildren(
@@ -99,9 +104,15 @@ export class OptionsForm {
     });
   }
 
+  /** Shows the options that a format has. */
+  fit(format: string): void {
+    for (const { name, parentElement } of this.file)
+      parentElement!.hidden = !(OF_FILES[name]?.includes(format) ?? true);
+  }
+
   /** Options of the file that is downloaded. */
   ofFile(): Options {
-    return read(this.file);
+    return read(this.file.filter(({ parentElement }) => !parentElement!.hidden));
   }
 
   private shared(): Options {
@@ -125,7 +136,7 @@ export class OptionsForm {
         const control = controlOf(option);
         controls.push(control);
         const label = make('label', { htmlFor: control.id, textContent: words(option.name) });
-        label.title = `${option.description} Accepts ${option.accepts}.`;
+        label.title = `${option.description} Accepts ${option.accepts}; default: ${option.default}.`;
         return make('div', { className: 'field' }, label, control);
       }),
     );
@@ -144,9 +155,11 @@ function read(controls: Control[]): Options {
 function controlOf(option: OptionInfo): Control {
   const common = { id: `option-${option.name}`, name: option.name };
   const values = choices(option);
-  if (values.length === 0) return make('input', { ...common, placeholder: option.default });
-  const select = make('select', common, make('option', { value: '', textContent: option.default }));
-  const others = values.filter((one) => one !== option.default);
+  // Without its exceptions, which the title of the label has: `true, false with rig`.
+  const usual = option.default.split(/[,;]/)[0];
+  if (values.length === 0) return make('input', { ...common, placeholder: usual });
+  const select = make('select', common, make('option', { value: '', textContent: usual }));
+  const others = values.filter((one) => one !== usual);
   select.append(...others.map((one) => make('option', { value: one, textContent: one })));
   return select;
 }

@@ -22,7 +22,7 @@ export class Results {
     byId('format').addEventListener('change', () => this.fitOptions());
   }
 
-  show(song: File, dancers: Dancer[]): void {
+  show(song: File | null, dancers: Dancer[]): void {
     this.song = song;
     this.dancers = dancers;
     byId('result').hidden = dancers.length === 0;
@@ -56,10 +56,8 @@ export class Results {
       !ready;
   }
 
-  /** Shows the options that the format has. */
   private fitOptions(): void {
-    const unit = document.getElementById('option-bvh_unit')?.parentElement;
-    if (unit) unit.hidden = byId<HTMLSelectElement>('format').value !== 'bvh';
+    this.options.fit(byId<HTMLSelectElement>('format').value);
   }
 
   /** The dancer that is taken along, and whose codes are edited. */
@@ -75,8 +73,6 @@ export class Results {
     if (this.mirrored() && this.options.offers('mirror')) options.mirror = 'true';
     const format = byId<HTMLSelectElement>('format').value;
     if (format === 'json') options.include = 'rotations';
-    // Units of a format would be an error beside another one.
-    if (format !== 'bvh') delete options.bvh_unit;
     return { options, format, song: this.song };
   }
 
