@@ -49,6 +49,10 @@ onPage(
     await chosen.click();
     assert.equal(await page.inputValue('#memory-lower'), await chosen.getAttribute('data-code'));
     assert.equal(await chosen.getAttribute('aria-pressed'), 'true');
+    await page.fill('#memory-upper', '99999');
+    await page.press('#memory-upper', 'Enter');
+    const refused = await page.locator('#memory-upper').evaluate((all) => all.validationMessage);
+    assert.match(refused, /^A whole number from 0 to \d+\.$/);
     await page.click('#memory-close');
     assert.ok(await page.isVisible('#form'));
   },

@@ -167,6 +167,12 @@ onPage('a click on the timeline seeks', {}, async (page) => {
   assert.ok(Math.abs((await state(page)).time - 4) < 0.1);
 });
 
+onPage('what the server assumed stays to be read', {}, async (page) => {
+  await upload(page, 'silence.wav', silence(3));
+  await complete(page);
+  assert.match(await page.textContent('#status'), /silen/);
+});
+
 onPage('errors are shown in the server’s words', {}, async (page) => {
   await upload(page, 'broken.mp3', Buffer.from('this is no song'));
   await page.waitForSelector('#banner:not([hidden])');
@@ -177,6 +183,7 @@ onPage('errors are shown in the server’s words', {}, async (page) => {
     },
   });
   assert.equal(said, (await asked.json()).error);
+  assert.equal(await page.textContent('#status'), '');
   await page.click('#dismiss');
   await upload(page, 'long.wav', silence(601));
   await page.waitForSelector('#banner:not([hidden])');
@@ -222,6 +229,7 @@ for (const version of [1, 0]) {
 onPage('a file that is no character is refused in words', {}, async (page) => {
   await upload(page, 'nothing.glb', Buffer.from('glTF but not really'));
   await page.waitForSelector('#banner:not([hidden])');
+  assert.match(await page.textContent('#banner-text'), /^The file is damaged, or no VRM/);
   await page.click('#dismiss');
   const empty = vrm(1)
     .toString('latin1')
@@ -325,6 +333,8 @@ onPage(
         .map((element) => element.outerHTML),
     );
     assert.deepEqual(nameless, []);
+    const speeds = await page.locator('#speed option').evaluateAll((all) => all.map((o) => o.text));
+    assert.deepEqual(speeds, ['0.25×', '0.5×', '0.75×', '1×', '1.25×']);
   },
 );
 

@@ -348,8 +348,10 @@ export class App {
     });
     file.addEventListener('cancel', () => this.checkFigure());
     file.addEventListener('change', () => {
-      if (file.files?.[0]) void this.choose(file.files[0]);
+      const chosen = file.files?.[0];
       file.value = '';
+      this.checkFigure();
+      if (chosen) void (/\.vrma$/i.test(chosen.name) ? this.watch(chosen) : this.choose(chosen));
     });
   }
 
