@@ -94,7 +94,9 @@ const JOURNEYS = {
     await page.locator('#download').scrollIntoViewIfNeeded();
     await shot('files', { audit: true, full: true });
     await page.click('#curl');
-    await page.waitForFunction(() => /copied/.test(document.querySelector('#status').textContent));
+    await page.waitForFunction(() =>
+      /copied/.test(document.querySelector('#result-status').textContent),
+    );
     await shot('curl-copied');
     await context.clearPermissions();
     await page.evaluate(() => {

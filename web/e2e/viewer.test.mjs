@@ -277,7 +277,9 @@ onPage('every format is downloaded, and the command is copied', {}, async (page,
   }
   await page.selectOption('#format', 'bvh');
   await page.click('#curl');
-  await page.waitForFunction(() => /copied/.test(document.querySelector('#status').textContent));
+  await page.waitForFunction(() =>
+    /copied/.test(document.querySelector('#result-status').textContent),
+  );
   const command = await page.evaluate(() => navigator.clipboard.readText());
   assert.equal(
     command,

@@ -35,11 +35,8 @@ export class App {
   private readonly banner = new Banner();
   private readonly form = new OptionsForm();
   private readonly cast = new Cast(this.stage);
-  private readonly results = new Results(
-    this.server,
-    this.form,
-    (error) => this.banner.show(error),
-    (text) => this.say(text),
+  private readonly results = new Results(this.server, this.form, (error) =>
+    this.banner.show(error),
   );
   private readonly memory = new Memory(
     this.server,

@@ -15,7 +15,6 @@ export class Results {
     private readonly server: Server,
     private readonly options: OptionsForm,
     private readonly failed: (error: unknown) => void,
-    private readonly told: (text: string) => void,
   ) {
     byId('download').addEventListener('click', () => void this.download());
     byId('curl').addEventListener('click', () => void this.copy());
@@ -25,6 +24,7 @@ export class Results {
   show(song: File | null, dancers: Dancer[]): void {
     this.song = song;
     this.dancers = dancers;
+    this.say('');
     byId('result').hidden = dancers.length === 0;
     this.fitOptions();
     const list = byId('dancers');
@@ -54,6 +54,10 @@ export class Results {
     const ready = this.chosen?.dance != null;
     byId<HTMLButtonElement>('download').disabled = byId<HTMLButtonElement>('curl').disabled =
       !ready;
+  }
+
+  private say(text: string): void {
+    byId('result-status').textContent = text;
   }
 
   private fitOptions(): void {
@@ -86,7 +90,7 @@ export class Results {
       const { song, options, format } = wanted;
       const content = await this.server.file(song, options, format);
       save(content, `${song.name.replace(/\.[^.]*$/, '')}.${format}`);
-      this.told(`Saved as ${format.toUpperCase()}.`);
+      this.say(`Saved as ${format.toUpperCase()}.`);
     } catch (error) {
       this.failed(error);
     } finally {
@@ -102,7 +106,7 @@ export class Results {
     const text = curl(this.server.address('generate'), song.name, options, format);
     try {
       await navigator.clipboard.writeText(text);
-      this.told('Command copied.');
+      this.say('Command copied.');
     } catch {
       this.failed(`The browser gives no access to the clipboard. The command is: ${text}`);
     }
