@@ -184,7 +184,8 @@ onPage('errors are shown in the server’s words', {}, async (page) => {
   });
   assert.equal(said, (await asked.json()).error);
   assert.equal(await page.textContent('#status'), '');
-  await page.click('#dismiss');
+  await page.locator('#dance').press('Escape');
+  assert.ok(await page.isHidden('#banner'));
   await upload(page, 'long.wav', silence(601));
   await page.waitForSelector('#banner:not([hidden])');
   assert.match(await page.textContent('#banner-text'), /600/);

@@ -150,6 +150,7 @@ export class TransportBar {
       '-': () => this.faster(-1),
       '+': () => this.faster(1),
       '=': () => this.faster(1),
+      Escape: () => byId('dismiss').click(),
       '?': () => byId('help').click(),
       '1': () => this.look('front'),
       '2': () => this.look('side'),
