@@ -149,9 +149,9 @@ onPage('blocks are chosen by keys, and wrong codes are refused', {}, async (page
   await page.focus('#blocks');
   await page.keyboard.press('ArrowRight');
   const first = await page.textContent('#edit-what');
-  assert.match(first, /^upper 0\.\d–\d\.\d s$/);
+  assert.match(first, /^Upper 0\.\d–\d\.\d s$/);
   await page.keyboard.press('ArrowDown');
-  assert.match(await page.textContent('#edit-what'), /^lower /);
+  assert.match(await page.textContent('#edit-what'), /^Lower /);
   const before = await codes(page);
   await page.fill('#edit-code', '99999');
   await page.press('#edit-code', 'Enter');

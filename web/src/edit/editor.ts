@@ -72,7 +72,8 @@ export class Editor {
     const half = block.halves[0];
     const code = this.codes[half][block.from];
     const span = [block.from, block.to].map((pair) => (pair / PAIRS).toFixed(1)).join('–');
-    what.textContent = `${block.halves.length > 1 ? 'Both' : half} ${span} s`;
+    const name = block.halves.length > 1 ? 'Both' : half === 'upper' ? 'Upper' : 'Lower';
+    what.textContent = `${name} ${span} s`;
     byId<HTMLInputElement>('edit-code').value = String(code);
     // What training did after the code before is likely to fit.
     const before = this.codes[half][block.from - 1];
