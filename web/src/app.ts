@@ -75,6 +75,8 @@ export class App {
     byId('memory-open').addEventListener('click', () => void this.openMemory());
     this.memory.panel.onclose = () => this.closeMemory();
     this.editor.onchange = (codes, from) => void this.edited(codes, from);
+    // So that its playhead is where the dance is, also while it is paused.
+    byId('edit').addEventListener('click', () => this.stage.invalidate());
     byId('dancers').addEventListener('change', () => {
       this.shownContacts = -1;
       this.contacts();
