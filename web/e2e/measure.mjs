@@ -38,7 +38,8 @@ async function firstFrames() {
 
 /**
  * Milliseconds that the dance is ahead of the sound: each click is heard as it leaves the audio
- * graph, and compared with where the clock of the pictures was then.
+ * graph, and compared with where the clock of the pictures was then. The graph's own latency, which
+ * playback without it does not have, is part of the figure.
  */
 async function sync() {
   const { page } = await open({ viewport: { width: 320, height: 640 } });
