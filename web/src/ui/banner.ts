@@ -26,6 +26,8 @@ export class Banner {
     if (fault?.status === 401) {
       byId('key-field').hidden = false;
       byId('key').focus();
+      // On a phone the message would cover it.
+      byId('key').scrollIntoView({ block: 'center' });
     }
   }
 
