@@ -196,8 +196,12 @@ class Store:
         wait_for("the bucket", lambda: BUCKET in self.buckets())
 
     def delete_bucket(self):
-        self._shell(f"s3.bucket.delete -name {BUCKET}")
-        wait_for("the end of the bucket", lambda: BUCKET not in self.buckets())
+        def gone():
+            # A file that was just being written makes the bucket anew.
+            self._shell(f"s3.bucket.delete -name {BUCKET}")
+            return BUCKET not in self.buckets()
+
+        wait_for("the end of the bucket", gone)
 
     def settings(self):
         """What a service is started with: flags and environment."""
