@@ -29,7 +29,7 @@ class Scenario:
     song: float = 200.0
     spread: float = 0.3
     # Processor seconds for a second of music, and for a job beside them (docs/capacity.md).
-    work: float = 0.0175
+    work: float = 0.0185
     work_each: float = 0.08
     # A worker: jobs at once, and cores that they share.
     places: int = 4
