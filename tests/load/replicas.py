@@ -142,15 +142,16 @@ def fill(fleet, verdict, state, count):
     """Finished jobs of a thousand others, or queued ones of our own that matter least."""
     if not count:
         return
-    owner, finished = ("'of ' || n % 1000", "t")
+    owner, model, finished = "'of ' || n % 1000", "'m'", "t"
     if state == "queued":
-        owner, finished = "(SELECT MIN(owner) FROM jobs WHERE owner NOT LIKE 'of %')", "NULL"
+        ours = "(SELECT MIN({}) FROM jobs WHERE request_id <> 'filled')"
+        owner, model, finished = ours.format("owner"), ours.format("model"), "NULL"
     fleet.postgres.query(
         "INSERT INTO jobs (id, owner, request_id, state, priority, created_at, run_after, "
         "finished_at, starts, faults, codes_done, codes_total, model, content_key, order_json, "
         "order_bytes, result_bytes, callback_tries) "
         f"SELECT gen_random_uuid(), {owner}, 'filled', '{state}', -100, t, t, {finished}, 0, 0, 0, 0, "
-        f"'m', n, repeat('o', 300), 300, 0, 0 FROM generate_series(1, {count}) n, "
+        f"{model}, n, repeat('o', 300), 300, 0, 0 FROM generate_series(1, {count}) n, "
         "(SELECT (extract(epoch FROM now()) * 1000)::bigint t) now"
     )
     fleet.postgres.query("VACUUM ANALYZE jobs")
