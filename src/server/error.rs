@@ -192,6 +192,8 @@ errors! {
                 {total} s in all allowed";
         GONE "job_expired" JobExpired
             => "the job had not begun when the time of its option `expires_s` was over";
+        GONE "job_files_gone" FilesGone
+            => "the song or the result of this job is no longer in the store: order it again";
         RANGE_NOT_SATISFIABLE "range_not_satisfiable" Range { size: u64 }
             => "the header Range asks for bytes that are not there: the result has {size}";
         UNPROCESSABLE_ENTITY "idempotency_key_reused" KeyReused

@@ -24,6 +24,7 @@ ROWS = {
     "kill": 16,
     "strangers": 17,
     "strangers_jobs": 18,
+    "replicas": 19,
     "clock": 20,
 }
 

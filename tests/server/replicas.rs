@@ -1,12 +1,14 @@
 //! Several replicas with one database and one store.
 
-use std::{collections::HashMap, path::Path, sync::atomic::Ordering, time::Duration};
+use std::{
+    collections::HashMap, fs, num::NonZeroUsize, path::Path, sync::atomic::Ordering, time::Duration,
+};
 
 use bailando::server::{JobStorage, Limits, Role, Seconds, StorageConfig};
 use bailando_testkit::postgres::Postgres;
 
 use crate::server::{
-    client::eventually,
+    client::{eventually, small_limits},
     durable::{header, in_folder, json, order, server, stop, until, with_limits},
     fake::{BLOCK, Fake},
     lifecycle::{Server, get, post_to},
@@ -144,4 +146,40 @@ async fn a_database_that_goes_and_comes_back_costs_nothing() {
     let after = order(&server, "", b"song").await;
     until(&server, &after, "done").await;
     stop(server).await;
+}
+
+/// However often it is tried meanwhile: a store that is away says nothing about a job. A song that
+/// is gone for good does.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_waits_for_its_store_and_fails_without_its_song() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let once = NonZeroUsize::MIN;
+    let limits = Limits { job_attempts: once, job_starts: once, ..small_limits() };
+    let api = server(&fake, in_folder(folder.path()).await, Role::Api).await;
+    let paths = [order(&api, "", b"song").await, order(&api, "", b"song").await];
+    let jobs = folder.path().join("jobs");
+    let aside = folder.path().join("aside");
+    fs::rename(&jobs, &aside).unwrap();
+    fs::write(&jobs, b"no folder").unwrap();
+    let storage = in_folder(folder.path()).await;
+    let worker = with_limits(&fake, storage, Role::Worker, limits).await;
+    eventually("both were tried and wait", async || {
+        let metrics = worker.expect(get("/metrics"), 200).await;
+        metrics.contains("bailando_job_retries_total 2").then_some(())
+    })
+    .await;
+    let waits = json(&api.expect(get(&paths[0]), 200).await);
+    assert_eq!((&waits["state"], &waits["starts"]), (&"queued".into(), &0.into()), "{waits}");
+    let song = paths[1].replace("/jobs/", "") + "/song";
+    fs::remove_file(aside.join(song)).unwrap();
+    fs::remove_file(&jobs).unwrap();
+    fs::rename(&aside, &jobs).unwrap();
+    let done = until(&api, &paths[0], "done").await;
+    assert_eq!(done["starts"], 1, "{done}");
+    let failed = until(&api, &paths[1], "failed").await;
+    assert_eq!(failed["error"]["error_type"], "job_files_gone");
+    let gone = api.expect(get(&format!("{}/result", paths[1])), 410).await;
+    assert!(gone.contains("order it again"), "{gone}");
+    stop(worker).await;
+    stop(api).await;
 }

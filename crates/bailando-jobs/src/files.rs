@@ -5,8 +5,8 @@ use std::{fs, ops::Range, path::Path as FilePath, sync::Arc, time::Duration};
 use bytes::{Bytes, BytesMut};
 use futures_util::{Stream, StreamExt, TryStreamExt};
 use object_store::{
-    GetOptions, GetRange, ObjectStore, ObjectStoreExt, aws::AmazonS3Builder, buffered::BufWriter,
-    local::LocalFileSystem, memory::InMemory, path::Path, prefix::PrefixStore,
+    GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfig, aws::AmazonS3Builder,
+    buffered::BufWriter, local::LocalFileSystem, memory::InMemory, path::Path, prefix::PrefixStore,
 };
 use tokio::io::AsyncWriteExt;
 
@@ -16,6 +16,9 @@ use super::{JobsError, database::without_password};
 const PART: usize = 5 * 1024 * 1024;
 /// Parts that are on their way at the same time.
 const PARTS_AT_ONCE: usize = 2;
+/// How long a store that does not answer is asked again, well below the time of a request: its
+/// client is then told when to try again, and a job is put back.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// A store of files, each written whole or not at all. Clones share it.
 #[derive(Clone, Debug)]
@@ -66,7 +69,8 @@ impl Files {
         let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
         // One that was chosen before stays.
         drop(rustls::crypto::ring::default_provider().install_default());
-        let store = AmazonS3Builder::from_env().with_bucket_name(bucket).build();
+        let retry = RetryConfig { retry_timeout: PATIENCE, ..RetryConfig::default() };
+        let store = AmazonS3Builder::from_env().with_bucket_name(bucket).with_retry(retry).build();
         let store = store.map_err(|error| refuse(error.to_string()))?;
         let prefix = Path::parse(prefix).map_err(|error| refuse(error.to_string()))?;
         Ok(Self { store: Arc::new(PrefixStore::new(store, prefix)), shared: true, folder: None })
@@ -218,9 +222,14 @@ impl Files {
     }
 }
 
-fn missing(error: object_store::Error, name: &str) -> JobsError {
+pub(crate) fn missing(error: object_store::Error, name: &str) -> JobsError {
     match error {
-        object_store::Error::NotFound { .. } => JobsError::NoFile { name: name.to_owned() },
+        // S3 answers 404 to both, but a bucket may come back with all that was in it.
+        object_store::Error::NotFound { ref source, .. }
+            if !source.to_string().contains("NoSuchBucket") =>
+        {
+            JobsError::NoFile { name: name.to_owned() }
+        }
         other => other.into(),
     }
 }

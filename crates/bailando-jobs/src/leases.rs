@@ -187,6 +187,21 @@ impl JobTable {
         self.change(change).await
     }
 
+    /// Puts a job back that could not be worked on, to be taken after a time: that is no start.
+    ///
+    /// # Errors
+    /// [`JobsError::Database`].
+    pub async fn postpone(&self, lease: &Lease, wait: Duration) -> Result<bool, JobsError> {
+        const CHANGE: &str = "UPDATE jobs SET state = 'queued', faults = faults + 1, \
+             starts = starts - 1, run_after = $1, lease = NULL, lease_until = NULL, \
+             stage = NULL, started_at = NULL WHERE id = $2 AND lease = $3";
+        let change = sqlx::query(CHANGE)
+            .bind(after(now(), wait))
+            .bind(lease.job.id.to_string())
+            .bind(lease.token.clone());
+        self.change(change).await
+    }
+
     /// Gives a job back as if it had not begun: its worker stops.
     ///
     /// # Errors

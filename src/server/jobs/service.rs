@@ -355,6 +355,10 @@ impl Drop for Reader {
 
 impl From<JobsError> for ServerError {
     fn from(error: JobsError) -> Self {
+        if matches!(error, JobsError::NoFile { .. }) {
+            tracing::error!(%error, "a file of a job is gone");
+            return Self::FilesGone;
+        }
         if error.is_lasting() {
             return Self::Internal(error.to_string());
         }

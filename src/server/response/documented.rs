@@ -25,7 +25,7 @@ fn about(status: u16) -> &'static str {
         406 => "The Accept header names no format of ours.",
         408 => "The body was not sent in time.",
         409 => "The job is not done.",
-        410 => "The job expired before it began.",
+        410 => "The job expired before it began, or its files are gone from the store.",
         413 => "The audio file or the rig is too large.",
         416 => "The result has no such bytes.",
         415 => "The body is no audio that is accepted, or compressed.",

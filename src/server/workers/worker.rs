@@ -188,6 +188,7 @@ async fn settle(
             }
             Err(error) => match Remedy::of(error, lease, state) {
                 Remedy::Release => table.release(lease).await,
+                Remedy::Postpone(wait) => table.postpone(lease, wait).await,
                 Remedy::Retry(wait) => table.retry(lease, wait).await,
                 Remedy::Fail => fail(state, lease, error).await,
             },
@@ -201,7 +202,12 @@ async fn settle(
     match &made {
         // It is deleted with the job at the latest.
         Ok(_) => drop(state.jobs.files.delete(&Jobs::song(lease.job.id)).await),
-        Err(error) if matches!(Remedy::of(error, lease, state), Remedy::Retry(_)) => {
+        Err(error)
+            if matches!(
+                Remedy::of(error, lease, state),
+                Remedy::Retry(_) | Remedy::Postpone(_)
+            ) =>
+        {
             tracing::warn!(%error, "a job is put back after a fault");
             state.metrics.job_retries.inc();
         }
@@ -225,6 +231,8 @@ async fn fail(state: &SharedState, lease: &Lease, error: &ServerError) -> Result
 enum Remedy {
     /// The process is at its end: the job has not begun.
     Release,
+    /// Its files cannot be had now, which says nothing about the job.
+    Postpone(Duration),
     /// The service was at fault, and may not be the next time.
     Retry(Duration),
     /// The song, an option or the time is at fault, or the service too often.
@@ -245,10 +253,16 @@ impl Remedy {
             _ => false,
         };
         let faults = usize::try_from(lease.job.faults).unwrap_or(usize::MAX);
+        let doublings = u32::try_from(faults).unwrap_or(u32::MAX).min(16);
+        let wait = (BACKOFF * 2_u32.pow(doublings)).min(LONGEST_BACKOFF);
+        // As long as a result would be kept.
+        let young = lease.job.created_at >= state.jobs.finished_since();
+        if matches!(error, ServerError::JobStore { .. }) && young {
+            return Self::Postpone(wait);
+        }
         if !passes || faults.saturating_add(1) >= state.limits.job_attempts.get() {
             return Self::Fail;
         }
-        let doubled = BACKOFF * 2_u32.saturating_pow(u32::try_from(faults).unwrap_or(u32::MAX));
-        Self::Retry(doubled.min(LONGEST_BACKOFF))
+        Self::Retry(wait)
     }
 }

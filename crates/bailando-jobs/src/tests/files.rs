@@ -3,7 +3,7 @@ use std::{fs, path::Path, time::Duration};
 use bytes::Bytes;
 use futures_util::{StreamExt, TryStreamExt};
 
-use crate::{Files, JobsError};
+use crate::{Files, JobsError, files::missing};
 
 fn large() -> Bytes {
     (0..12_000_000_u32).map(|i| (i % 251) as u8).collect()
@@ -94,4 +94,15 @@ async fn a_store_that_is_gone_says_so() {
     fs::write(&place, b"a file in the folder's place").unwrap();
     let failed = files.put("songs/x", Bytes::from_static(b"x")).await.unwrap_err();
     assert!(matches!(failed, JobsError::Store(_)), "{failed}");
+}
+
+/// As S3 answers for a file that is not there, and for any file of a bucket that is gone.
+#[test]
+fn a_bucket_that_is_gone_is_no_missing_file() {
+    for (code, lasting) in [("NoSuchKey", true), ("NoSuchBucket", false)] {
+        let source = format!("404 Not Found: <Error><Code>{code}</Code></Error>").into();
+        let answer = object_store::Error::NotFound { path: "jobs/a/song".to_owned(), source };
+        let error = missing(answer, "jobs/a/song");
+        assert_eq!(error.is_lasting(), lasting, "{error}");
+    }
 }

@@ -94,6 +94,7 @@ fn another_worker_takes_a_job_whose_lease_has_ended_and_the_first_changes_nothin
         assert!(!jobs.done(&first, "first".to_owned(), 0, &reached(9)).await.unwrap());
         assert!(!jobs.fail(&first, "first".to_owned()).await.unwrap());
         assert!(!jobs.retry(&first, SHORT).await.unwrap());
+        assert!(!jobs.postpone(&first, SHORT).await.unwrap());
         assert!(!jobs.release(&first).await.unwrap());
         assert!(jobs.done(&second, "second".to_owned(), 0, &reached(9)).await.unwrap());
         assert_eq!(find(&jobs, id).await.result.as_deref(), Some("second"));
@@ -145,7 +146,7 @@ fn a_job_that_was_ordered_later_than_now_does_not_wait() {
 }
 
 #[test]
-fn a_retry_waits_and_a_release_is_no_start() {
+fn a_retry_waits_and_what_could_not_begin_is_no_start() {
     with_each(async |jobs| {
         let id = insert(&jobs, job("me")).await;
         let lease = take(&jobs).await.unwrap();
@@ -157,6 +158,12 @@ fn a_retry_waits_and_a_release_is_no_start() {
         assert!(jobs.release(&lease).await.unwrap());
         let released = find(&jobs, id).await;
         assert_eq!((released.state, released.starts), (State::Queued, 1));
+        let lease = take(&jobs).await.unwrap();
+        assert!(jobs.postpone(&lease, Duration::from_millis(300)).await.unwrap());
+        assert!(take(&jobs).await.is_none());
+        let postponed = find(&jobs, id).await;
+        let waits = (postponed.state, postponed.starts, postponed.faults, postponed.started_at);
+        assert_eq!(waits, (State::Queued, 1, 2, None));
     });
 }
 

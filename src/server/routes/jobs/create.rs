@@ -175,12 +175,14 @@ async fn keep(
             Err(error) => Err(error),
         };
         drop(held);
-        if !matches!(kept, Ok(Some(Inserted::New))) {
+        let is_kept = matches!(kept, Ok(Some(Inserted::New)));
+        // An order that was accepted is one, whoever waits for the answer; and nobody waits for a
+        // store that does not answer a second time.
+        drop(answer.send(kept));
+        if !is_kept {
             // Nobody will ask for it; what is left is swept.
             drop(jobs.files.delete_below(&folder).await);
         }
-        // An order that was accepted is one, whoever waits for the answer.
-        drop(answer.send(kept));
     });
     match kept.await {
         Ok(kept) => kept?.ok_or_else(|| ServerError::Internal("an order was given up".to_owned())),
