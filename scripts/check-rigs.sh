@@ -38,7 +38,8 @@ ln -sfn "$readers/rigs" "$work/rigs"
 for rig in "$readers"/rigs/*; do
     name=$(basename "$rig")
     "$bailando" generate --rig "$rig" --print-mapping > "$work/mapping/$name.json"
-    "$bailando" generate --codes "$work/dance.json" --rig "$rig" -o "$work/danced/$name" "$@" \
+    "$bailando" generate --codes "$work/dance.json" --duration-s 12 --rig "$rig" \
+        -o "$work/danced/$name" "$@" \
         2> "$work/log" || { cat "$work/log"; exit 1; }
 done
 

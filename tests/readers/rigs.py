@@ -139,6 +139,15 @@ def bend(figure, side):
     return off, angles(knee - hip, ankle - knee) > 20
 
 
+def jump(figure, parts):
+    """Largest change of velocity of parts from one frame to the next, cm a frame."""
+    bends = [np.diff(figure.places(part), n=2, axis=0) for part in parts]
+    return 100 * max(np.linalg.norm(bend, axis=-1).max() for bend in bends)
+
+
+HIPS, FEET = ["hips"], ["leftFoot", "rightFoot"]
+
+
 def measure(rig, dancer):
     arms = max(
         angles(rig.places(side + to) - rig.places(side + of),
@@ -157,6 +166,7 @@ def measure(rig, dancer):
         "turned": angles(facing(rig), facing(dancer)).max(),
         "skate": rig.skate(dancer.dance.fps),
         "lowest": rig.soles(),
+        "jumps": [jump(rig, HIPS), jump(rig, FEET)],
     }
 
 
@@ -178,8 +188,9 @@ def main(folder):
     dance = Dance(folder / "dance.json")
     joints = json.loads((folder / "dance.json").read_text())["skeleton"]["joints"]
     dancer, bad = Dancer(dance, joints), []
-    print(f"{'rig':24} {'bones':>5} {'found by':9} {'skate':>5} {'lowest':>6} {'arms':>5} "
-          f"{'knees':>5} {'turned':>6} {'Blender':>7} {'three':>7}")
+    print(f"the dancer: jumps {jump(dancer, HIPS):.2f} of the hips, {jump(dancer, FEET):.2f} of feet")
+    print(f"{'rig':24} {'bones':>5} {'found by':9} {'skate':>5} {'lowest':>6} {'jumps':>9} "
+          f"{'arms':>5} {'knees':>5} {'turned':>6} {'Blender':>7} {'three':>7}")
     for file in sorted((folder / "danced").iterdir()):
         stem = file.name
         mapping = json.loads((folder / "mapping" / f"{stem}.json").read_text())
@@ -188,7 +199,8 @@ def main(folder):
         programs = [others(folder / name, stem, rig) for name in ("blender", "three")]
         told = ["      -" if mm is None else f"{mm:7.3f}" for mm in programs]
         print(f"{stem:24} {len(rig.before.names):5} {mapping['found_by']:9} {seen['skate']:5.2f} "
-              f"{seen['lowest']:6.2f} {seen['arms']:5.2f} {seen['knees']:5.1f} "
+              f"{seen['lowest']:6.2f} {seen['jumps'][0]:4.2f} {seen['jumps'][1]:4.2f} "
+              f"{seen['arms']:5.2f} {seen['knees']:5.1f} "
               f"{seen['turned']:6.2f} " + " ".join(told))
         if (
             seen["skate"] > MOST_SKATE or seen["lowest"] < LEAST_HEIGHT or seen["arms"] > MOST_ARM
@@ -196,8 +208,8 @@ def main(folder):
             or any(mm is not None and not mm < MOST_MM for mm in programs)
         ):
             bad.append(stem)
-    print("skate: cm/s, lowest: cm against rest, arms, knees, turned: degrees from the dancer's, "
-          "Blender, three: mm")
+    print("skate: cm/s, lowest: cm against rest, jumps: cm a frame by which the velocity of hips and "
+          "of feet changes at most, arms, knees, turned: degrees from the dancer's, Blender, three: mm")
     if bad:
         sys.exit(f"out of limits: {', '.join(bad)}")
 

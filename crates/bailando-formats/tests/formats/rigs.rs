@@ -7,7 +7,7 @@ mod read;
 use bailando_formats::{
     BoneNames, Character, FoundBy, GeneratedMotion, RigFormat, RigLimits, RigMapping,
 };
-use bailando_motion::FinishOptions;
+use bailando_motion::{FinishOptions, Positions};
 use bailando_testkit::{
     motion::{dance_of, decoded_from},
     rigs::{self, Rig},
@@ -27,7 +27,8 @@ fn read(rig: &Rig) -> Character {
 struct Feet {
     /// Median speed of balls within 5 cm of the floor, m/s.
     skate: f64,
-    /// Lowest edge of a sole, at heel or ball, against where it stands at rest, metres.
+    /// Lowest edge of a sole, at heel or ball, or tip of toes, against where it stands at rest,
+    /// metres.
     lowest: f64,
 }
 
@@ -49,13 +50,18 @@ fn feet(rig: &Rig, danced: &Danced, fps: f64) -> Feet {
         let heel = up * ahead.dot(up) - level * 0.4;
         let edge = up.cross(level) * 0.35;
         let floor = toes.place.dot(up);
+        let end = rest("toe_end").place - toes.place;
         let path: Vec<(DVec3, f64)> = danced
             .iter()
             .map(|frame| {
                 let (place, turn) = frame[ankle];
                 let turned = turn * foot.axes.inverse();
                 let heel = place / rig.unit + turned * heel;
-                let ball = frame[ball].0 / rig.unit;
+                let (place, turn) = frame[ball];
+                let ball = place / rig.unit;
+                // The tip of the toes, as high as at rest.
+                let tip = ball + turn * toes.axes.inverse() * end;
+                lowest = lowest.min((tip - toes.place - end).dot(up));
                 for middle in [heel, ball] {
                     let below = (turned * edge).dot(up).abs();
                     lowest = lowest.min(middle.dot(up) - below - floor);
@@ -99,7 +105,7 @@ fn limbs(rig: &Rig, danced: &Danced, motion: &GeneratedMotion) -> f64 {
 }
 
 /// A dancer who sways and steps to the left and to the right, a foot a second.
-fn stepping() -> GeneratedMotion {
+pub(crate) fn stepping() -> GeneratedMotion {
     let skeleton = bailando_testkit::motion::skeleton();
     let mut rest = vec![DVec3::Y * 0.95; 24];
     for joint in 1..24 {
@@ -138,13 +144,13 @@ fn stepping() -> GeneratedMotion {
     dance_of(&decoded_from(&positions), &FinishOptions::default())
 }
 
-/// Feet of the dancer, as [`feet`] measures those of a rig.
-fn feet_of_dancer(motion: &GeneratedMotion) -> f64 {
+/// Median speed in m/s of the dancer's balls within 5 cm of the floor, for these joints.
+pub(crate) fn slide(motion: &GeneratedMotion, positions: &Positions) -> f64 {
     let mut speeds = Vec::new();
     for name in ["l_foot", "r_foot"] {
         let foot = motion.skeleton.joints.iter().position(|joint| joint == name).unwrap();
         let at = |frame: usize| {
-            let [x, y, z] = [0, 1, 2].map(|axis| f64::from(motion.positions[[frame, foot, axis]]));
+            let [x, y, z] = [0, 1, 2].map(|axis| f64::from(positions[[frame, foot, axis]]));
             DVec3::new(x, y - 0.015, z)
         };
         for frame in 1..motion.animation.root.len() {
@@ -164,7 +170,7 @@ fn every_rig_dances_as_the_dancer_does_with_its_feet_on_the_floor() {
     dances.extend(recorded(60));
     let mut wrong = Vec::new();
     for (name, dance) in &dances {
-        let of_dancer = feet_of_dancer(dance);
+        let of_dancer = slide(dance, &dance.positions);
         println!("{name}: the dancer's feet slide {:.2} cm/s", 100.0 * of_dancer);
         for rig in rigs::all() {
             let character = read(&rig);

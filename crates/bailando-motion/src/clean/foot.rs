@@ -34,6 +34,10 @@ pub(super) struct Foot {
     toes: DVec3,
     /// Unit vector across the sole.
     across: DVec3,
+    /// Distance from the middle of the sole to its edge.
+    edge: f64,
+    /// How far below its bones the skin at the ball comes where toes are bent by a right angle.
+    sag: f64,
 }
 
 /// Height above the floor of a point of the sole, metres: negative below.
@@ -51,7 +55,15 @@ impl Foot {
             heel: DVec3::Y * ball.y - ahead * HEEL,
             toes: ahead * TOES,
             across: DVec3::Y.cross(ahead).normalize(),
+            edge: EDGE * ahead.length(),
+            sag: 0.0,
         })
+    }
+
+    /// With toes of this length from the ball joint to their tip, and a skin that comes this far
+    /// below the bones where they are bent by a right angle, metres.
+    pub(super) fn with_toes(self, length: f64, sag: f64) -> Self {
+        Self { toes: self.toes.normalize() * length, sag, ..self }
     }
 
     /// Returns how far the lowest point of an unbent sole is above the floor, at least 0.
@@ -64,7 +76,7 @@ impl Foot {
     /// sole with this clearance is below the floor: a foot that stands, stands flat. Joints do not
     /// say how a foot is rolled; it has that from the twist of the leg.
     pub(super) fn levelled(&self, turn: DQuat, line: DVec3, clearance: f64) -> DQuat {
-        let most = clearance / (EDGE / TOES * self.toes.length());
+        let most = clearance / self.edge;
         // About the line, `across` rises as across * cos a + up * sin a.
         let [across, up] = [turn * self.across, line.cross(turn * self.across)].map(|v| v.y);
         let wanted = if most > 1e-9 { most * (across / most).tanh() } else { 0.0 };
@@ -105,7 +117,10 @@ impl Foot {
         let phase = if phase < -FRAC_PI_2 { phase + TAU } else { phase };
         let share = (wanted - height(ball)) / (length * largest);
         let angle = (phase - share.clamp(-1.0, 1.0).acos()).clamp(0.0, MOST_BENT);
-        (angle, (wanted - height(ball) - rise(angle)).max(0.0))
+        let lift = (wanted - height(ball) - rise(angle)).max(0.0);
+        // High above the floor a skin may sag.
+        let near = smooth_step(1.0 - height(ball) / (4.0 * self.sag).max(1e-9));
+        (angle, lift + self.sag * (1.0 - angle.cos()) * near)
     }
 
     /// Returns the local rotation of the ball joint that bends the toes up by `angle`.
@@ -163,10 +178,23 @@ mod tests {
     }
 
     #[test]
+    fn a_foot_is_lifted_by_as_much_as_its_skin_sags_near_the_floor() {
+        let foot = Foot::of(&Skeleton::fixture(), 10).unwrap();
+        let soft = foot.with_toes(0.07, 0.01);
+        let turn = DQuat::from_axis_angle(foot.toes.cross(DVec3::Y).normalize(), -0.9);
+        let lift = |foot: &Foot, above: f64| {
+            foot.toe_bend(DVec3::Y * (f64::from(STANDING_HEIGHT) + above), turn).1
+        };
+        assert!(lift(&foot, 0.0) < 1e-9);
+        assert!((0.002..0.004).contains(&lift(&soft, 0.0)), "{}", lift(&soft, 0.0));
+        assert!(lift(&soft, 0.02) < 0.6 * lift(&soft, 0.0) && lift(&soft, 0.05) < 1e-9);
+    }
+
+    #[test]
     fn a_foot_that_stands_lies_flat_and_one_in_the_air_rolls() {
         for (ball, side) in [(10, 1.0), (11, -1.0)] {
             let foot = Foot::of(&Skeleton::fixture(), ball).unwrap();
-            let edge = EDGE / TOES * foot.toes.length();
+            let edge = foot.edge;
             for roll in [-1.2, -0.6, -0.1, 0.0, 0.3, 0.9] {
                 let rolled = DQuat::from_rotation_y(0.4) * DQuat::from_rotation_z(side * roll);
                 let mut last = None;

@@ -29,6 +29,8 @@ pub(super) struct LegRest {
     pub(super) ankle: DVec3,
     /// The ball of the foot, or the tip of one without toes.
     pub(super) ball: Option<DVec3>,
+    /// The end of the toes, where the foot has any and shows it.
+    pub(super) tip: Option<DVec3>,
     pub(super) has_toes: bool,
 }
 
@@ -44,6 +46,7 @@ impl LegRest {
             knee: needed(figure, BodyPart::LowerLeg(side))?,
             ankle,
             ball: toes.or_else(|| ends.iter().max_by(further).copied()),
+            tip: toes.and_then(|_| ends.iter().max_by(further).copied()),
             has_toes: toes.is_some(),
         };
         let [thigh, shank] = [leg.hip.distance(leg.knee), leg.knee.distance(leg.ankle)];
@@ -95,7 +98,8 @@ impl Stance {
 
     fn leg_into(&self, leg: LegRest) -> LegRest {
         let [hip, knee, ankle] = [leg.hip, leg.knee, leg.ankle].map(|place| self.into_dance(place));
-        LegRest { hip, knee, ankle, ball: leg.ball.map(|ball| self.into_dance(ball)), ..leg }
+        let [ball, tip] = [leg.ball, leg.tip].map(|end| end.map(|end| self.into_dance(end)));
+        LegRest { hip, knee, ankle, ball, tip, ..leg }
     }
 
     /// Returns a place of the file in the frame of dances.

@@ -84,6 +84,16 @@ impl Body {
         Self { bones }
     }
 
+    /// Raises the balls of the feet and doubles the toes, as those of figures with thick soles.
+    pub fn lengthen_toes(&mut self) {
+        for side in ["l", "r"] {
+            let [ball, end] = ["toes", "toe_end"].map(|part| self.index(&format!("{side}_{part}")));
+            let toes = self.bones[end].place - self.bones[ball].place;
+            self.bones[end].place += toes;
+            self.bones[ball].place.y *= 2.5;
+        }
+    }
+
     fn index(&self, part: &str) -> usize {
         let found = self.bones.iter().position(|bone| bone.part == part);
         found.unwrap_or_else(|| panic!("no {part}"))

@@ -37,9 +37,10 @@ fn feet(body: &Body) -> [[String; 2]; 2] {
 }
 
 /// A child of `height` metres from Mixamo: centimetres under a node that scales and turns them,
-/// in a T-pose, bones along y.
+/// in a T-pose, bones along y, with long toes.
 pub fn mixamo(height: f64) -> Rig {
     let mut body = Body::new(height, 0.8, 0.0);
+    body.lengthen_toes();
     body.rename(&[
         ("hips", "mixamorig:Hips"),
         ("spine", "mixamorig:Spine"),
