@@ -2,7 +2,6 @@
 //!
 //! Metres, y up, right-handed, heading for +z. The rest pose stands on the floor.
 
-use bailando_motion::Animation;
 use glam::{DQuat, Mat4};
 use gltf_json::{
     Accessor, Index, Material, Mesh, Node, Skin,
@@ -18,7 +17,7 @@ use crate::{
     blob,
     error::FormatError,
     gltf::{Document, Layout, push_channel},
-    keys::{Keys, reduce_positions, reduce_rotations},
+    keys::{Keys, reduce_rotations},
     mannequin::mannequin,
     motion::GeneratedMotion,
     rig::Rig,
@@ -31,8 +30,6 @@ pub(crate) const TAKE: &str = "Dance";
 const ROTATION_TOLERANCE: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// Largest error in radians of a bone of which the farthest joint below is a metre away.
 const REACH_TOLERANCE: f64 = 4.5e-4;
-/// Largest error of the root's place, metres.
-const ROOT_TOLERANCE: f64 = 4e-4;
 /// Bytes of the doll, names and JSON.
 const FIXED_BYTES: usize = 160_000;
 
@@ -74,7 +71,7 @@ pub fn to_glb(motion: &GeneratedMotion, options: GlbOptions) -> Result<Vec<u8>, 
     }
     document.scene(roots);
     if !motion.animation.root.is_empty() {
-        push_animation(&mut document, &rig, &motion.animation);
+        push_animation(&mut document, &rig, motion);
     }
     document.into_glb()
 }
@@ -160,25 +157,29 @@ fn push_primitive(document: &mut Document, doll: &blob::Mesh) -> Primitive {
     }
 }
 
-fn push_animation(document: &mut Document, rig: &Rig, motion: &Animation) {
+/// Feet stand still only where hips and legs have a key at every frame: a millimetre that a line
+/// between keys is off comes and goes in a frame or two, which is centimetres a second.
+fn push_animation(document: &mut Document, rig: &Rig, motion: &GeneratedMotion) {
+    let feet = motion.skeleton.foot_joints();
+    let motion = &motion.animation;
     let mut animation = empty_animation();
-    let path: Vec<_> = motion.root.iter().map(|&root| rig.place(root)).collect();
-    let keys = reduce_positions(&path, ROOT_TOLERANCE);
-    let places: Vec<_> = keys.values.iter().map(|place| place.as_vec3()).collect();
-    let output = document.vectors(&places, None);
-    let input = document.times(&keys.frames, motion.fps);
-    push_channel(&mut animation, rig.hips(), Property::Translation, [input, output]);
-    let mut every_time = None;
+    let frames: Vec<usize> = (0..motion.root.len()).collect();
+    let every = document.times(&frames, motion.fps);
+    let path: Vec<_> = motion.root.iter().map(|&root| rig.place(root).as_vec3()).collect();
+    let output = document.vectors(&path, None);
+    push_channel(&mut animation, rig.hips(), Property::Translation, [every, output]);
     for bone in 0..rig.bones.len() {
         if rig.is_still(bone, &motion.rotations) {
             continue;
         }
         let track: Vec<DQuat> =
             motion.rotations.iter().map(|frame| rig.rotation(bone, frame)).collect();
-        let keys = keys_of(rig, bone, &track);
+        let keys = match rig.carries(bone, &feet) {
+            true => Keys::every(&track),
+            false => keys_of(rig, bone, &track),
+        };
         let input = match keys.frames.len() == track.len() {
-            // Times of all frames are shared.
-            true => *every_time.get_or_insert_with(|| document.times(&keys.frames, motion.fps)),
+            true => every,
             false => document.times(&keys.frames, motion.fps),
         };
         let output = document.rotations(&keys.values);

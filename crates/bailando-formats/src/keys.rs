@@ -1,8 +1,8 @@
-//! Fewer keys for a track of rotations or positions, within a tolerance at every frame.
+//! Fewer keys for a track of rotations, within a tolerance at every frame.
 //!
 //! A swing filter: from a key, a straight line is kept that passes every frame so far within the
-//! tolerance; where no line passes one more frame, it ends in a key. Lines of rotations are
-//! constant turns, which is what programs interpolate between keys (slerp).
+//! tolerance; where no line passes one more frame, it ends in a key. Lines are constant
+//! turns, which is what programs interpolate between keys (slerp).
 
 use glam::{DQuat, DVec3};
 
@@ -59,11 +59,6 @@ fn corrected(mut slope: DVec3, offsets: &[DVec3], tolerance: f64) -> Option<DVec
     None
 }
 
-/// Reduces a track of positions to keys, of which straight lines pass within `tolerance`.
-pub(crate) fn reduce_positions(track: &[DVec3], tolerance: f64) -> Keys<DVec3> {
-    reduce(track, tolerance, |from, to| to - from, |from, line| from + line)
-}
-
 /// Reduces a track of rotations, which keep their sign along time, to keys between which constant
 /// turns pass within `tolerance` radians.
 pub(crate) fn reduce_rotations(track: &[DQuat], tolerance: f64) -> Keys<DQuat> {
@@ -71,16 +66,6 @@ pub(crate) fn reduce_rotations(track: &[DQuat], tolerance: f64) -> Keys<DQuat> {
         let turn = from.inverse() * to;
         (if turn.w < 0.0 { -turn } else { turn }).to_scaled_axis()
     };
-    let turned = |from: DQuat, turn| (from * DQuat::from_scaled_axis(turn)).normalize();
-    reduce(track, tolerance, between, turned)
-}
-
-fn reduce<T: Copy>(
-    track: &[T],
-    tolerance: f64,
-    between: impl Fn(T, T) -> DVec3,
-    along: impl Fn(T, DVec3) -> T,
-) -> Keys<T> {
     let mut keys = Keys { frames: Vec::new(), values: Vec::new() };
     let Some(&first) = track.first() else { return keys };
     let (mut frame, mut value) = (0, first);
@@ -95,7 +80,8 @@ fn reduce<T: Copy>(
         let ahead = track[frame + 1..].iter().take(LONGEST);
         offsets.extend(ahead.map(|&next| between(value, next)));
         let line = longest_line(&offsets, tolerance);
-        value = along(value, line.slope * line.frames as f64);
+        let turn = DQuat::from_scaled_axis(line.slope * line.frames as f64);
+        value = (value * turn).normalize();
         frame += line.frames;
     }
 }
@@ -137,24 +123,6 @@ mod tests {
                 let angle = at(&keys, frame).angle_between(wanted);
                 // Turns are added as vectors, which differ a little from turns one after another.
                 prop_assert!(angle < 1.3 * tolerance, "frame {frame}: {angle}");
-            }
-        }
-
-        #[test]
-        fn positions_too(
-            steps in prop::collection::vec(prop::array::uniform3(-0.05..0.05_f64), 2..100),
-        ) {
-            let track: Vec<DVec3> = steps.iter().map(|&step| step.into()).collect();
-            let keys = reduce_positions(&track, 0.02);
-            let mut next = 0;
-            for (frame, &wanted) in track.iter().enumerate().skip(1) {
-                if frame > keys.frames[next + 1] {
-                    next += 1;
-                }
-                let (from, to) = (keys.frames[next], keys.frames[next + 1]);
-                let part = (frame - from) as f64 / (to - from) as f64;
-                let seen = keys.values[next].lerp(keys.values[next + 1], part);
-                prop_assert!(seen.distance(wanted) < 0.0201);
             }
         }
     }

@@ -195,6 +195,13 @@ impl Rig {
         self.children(bone).map(below).fold(0.0, f64::max)
     }
 
+    /// Whether one of these joints of the motion hangs on a bone.
+    pub(crate) fn carries(&self, bone: usize, joints: &[usize]) -> bool {
+        let is_one =
+            |child: usize| self.bones[child].joint.is_some_and(|own| joints.contains(&own));
+        self.children(bone).any(|child| is_one(child) || self.carries(child, joints))
+    }
+
     /// Returns a bone's local rotation in a frame of the motion's local rotations.
     pub(crate) fn rotation(&self, bone: usize, frame: &[Quat]) -> DQuat {
         let Bone { parent, joint, turn, .. } = &self.bones[bone];

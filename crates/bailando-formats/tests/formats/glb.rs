@@ -8,7 +8,11 @@ use bailando_testkit::motion::distances;
 use glam::{DQuat, DVec3, Quat, Vec3};
 use gltf::animation::util::ReadOutputs;
 
-use crate::{motion, recorded, short};
+use crate::{
+    motion, recorded,
+    rigs::{slide, stepping},
+    short,
+};
 
 /// Largest distance from forward kinematics, metres.
 const TOLERANCE: f64 = 2e-3;
@@ -36,6 +40,19 @@ fn half_a_minute_of_glb_is_small_and_true() {
         println!("{name}: {frames} frames, {} bytes, {largest:.2e} m", file.len());
         assert!(largest < TOLERANCE, "{name}: {largest} m");
         assert!(file.len() < MOST_BYTES, "{name}: {} bytes", file.len());
+    }
+}
+
+#[test]
+fn feet_stand_in_glb_as_they_do_in_json() {
+    let mut dances = vec![("steps".to_owned(), stepping())];
+    dances.extend(recorded(60));
+    for (name, motion) in dances {
+        let file = to_glb(&motion, GlbOptions::default()).unwrap();
+        let positions = positions_in(&file, &motion);
+        let [own, seen] = [&motion.positions, &positions].map(|p| slide(&motion, p));
+        println!("{name}: balls slide {:.2} cm/s, in GLB {:.2}", 100.0 * own, 100.0 * seen);
+        assert!(seen < own + 0.005, "{name}: {seen} m/s, before {own}");
     }
 }
 
@@ -142,6 +159,12 @@ fn tracks(gltf: &gltf::Gltf) -> Tracks {
 
 /// The largest distance of a joint in a file from forward kinematics, metres.
 fn largest_error(file: &[u8], motion: &GeneratedMotion) -> f64 {
+    let expected = forward(&motion.skeleton, &motion.animation).unwrap();
+    distances(&positions_in(file, motion), &expected).1
+}
+
+/// Where a file has the joints, `[frames, joints, 3]`.
+fn positions_in(file: &[u8], motion: &GeneratedMotion) -> Positions {
     let gltf = gltf::Gltf::from_slice(file).unwrap();
     let tracks = tracks(&gltf);
     let mut parents = HashMap::new();
@@ -150,8 +173,7 @@ fn largest_error(file: &[u8], motion: &GeneratedMotion) -> f64 {
     }
     let nodes: Vec<_> = gltf.nodes().filter(|node| node.mesh().is_none()).collect();
     let first = nodes.len() - motion.skeleton.joints.len();
-    let expected = forward(&motion.skeleton, &motion.animation).unwrap();
-    let mut positions = Positions::zeros(expected.dim());
+    let mut positions = Positions::zeros(motion.positions.dim());
     for (frame, mut pose) in positions.outer_iter_mut().enumerate() {
         let time = (frame as f64 / f64::from(motion.animation.fps)) as f32;
         let mut world: Vec<(DVec3, DQuat)> = Vec::new();
@@ -175,5 +197,5 @@ fn largest_error(file: &[u8], motion: &GeneratedMotion) -> f64 {
             joint.assign(&ndarray::arr1(&place.as_vec3().to_array()));
         }
     }
-    distances(&positions, &expected).1
+    positions
 }
