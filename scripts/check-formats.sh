@@ -5,8 +5,9 @@
 #
 # READERS is a folder outside the repository with what was installed there, all of it optional:
 #   npm install --prefix READERS three @pixiv/three-vrm @pixiv/three-vrm-animation gltf-validator \
-#       mmd-parser assimpjs
-#   python3 -m venv READERS/venv && READERS/venv/bin/pip install numpy bvhio bvhtoolbox
+#       mmd-parser assimpjs @babylonjs/core @babylonjs/loaders
+#   python3 -m venv READERS/venv
+#   READERS/venv/bin/pip install numpy bvhio bvhtoolbox bvhsdk pybvh
 #   apt-get install godot3-server     # Debian 12; no folder
 #   python3 -m venv READERS/blender && READERS/blender/bin/pip install bpy   # 350 MB
 set -euo pipefail

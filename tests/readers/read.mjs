@@ -101,6 +101,33 @@ for (const file of files('.glb')) {
   tell('three GLTFLoader', file, largest(gltf.scene, clip, stem(file)), note(clip));
 }
 
+// Babylon.js has no window here: its engine draws nothing.
+if (fs.existsSync(path.join(modules, '@babylonjs/loaders'))) {
+  const BABYLON = await load('@babylonjs/core/index.js');
+  await load('@babylonjs/loaders/glTF/index.js');
+  for (const file of files('.glb')) {
+    const scene = new BABYLON.Scene(new BABYLON.NullEngine());
+    scene.useRightHandedSystem = true;
+    const data = new Uint8Array(bytes(file));
+    await BABYLON.AppendSceneAsync(data, scene, { pluginExtension: '.glb' });
+    const [clip] = scene.animationGroups;
+    clip.start();
+    clip.pause();
+    let most = 0;
+    for (let frame = 0; frame < json.frames; frame += 7) {
+      // Its frames are those of 60 a second.
+      clip.goToFrame((frame * 60) / json.fps);
+      scene.transformNodes.forEach((node) => node.computeWorldMatrix(true));
+      const places = forward(frame);
+      names(stem(file)).forEach((name, joint) => {
+        const { x, y, z } = scene.getTransformNodeByName(name).getAbsolutePosition();
+        most = Math.max(most, 1000 * places[joint].distanceTo(new THREE.Vector3(x, y, z)));
+      });
+    }
+    tell('Babylon.js', file, most, `${clip.name}, frames ${clip.from} to ${clip.to}`);
+  }
+}
+
 const validator = require('gltf-validator');
 for (const file of [...files('.glb'), ...files('.vrma')]) {
   const report = await validator.validateBytes(new Uint8Array(bytes(file)), { maxIssues: 50 });

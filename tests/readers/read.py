@@ -44,6 +44,12 @@ def bvh_names(skeleton):
     return [name.replace(":", "") for name in names(skeleton)]
 
 
+def of_one_root(reader):
+    """BVH files for a reader that moves no joint but the ROOT: Unreal's pelvis moves below it."""
+    print(f"{reader:12} unreal.bvh       moves the ROOT alone: skipped")
+    return [(path, skeleton) for path, skeleton in files("*.bvh") if skeleton != "unreal"]
+
+
 def with_bvhio(bvhio):
     for path, skeleton in files("*.bvh"):
         root = bvhio.readAsHierarchy(str(path))
@@ -60,7 +66,7 @@ def with_bvhtoolbox(_):
     from bvhtoolbox import BvhTree
     from bvhtoolbox.convert.bvh2csv import write_joint_positions
 
-    for path, skeleton in files("*.bvh"):
+    for path, skeleton in of_one_root("bvhtoolbox"):
         tree = BvhTree(path.read_text())
         with tempfile.NamedTemporaryFile("r", suffix=".csv") as table:
             write_joint_positions(tree, table.name)
@@ -70,6 +76,23 @@ def with_bvhtoolbox(_):
             for row in rows
         ]
         tell("bvhtoolbox", path, dance.error(range(len(dance)), seen))
+
+
+def with_bvhsdk(bvhsdk):
+    for path, skeleton in files("*.bvh"):
+        animation = bvhsdk.ReadFile(str(path))
+        joints = [animation.getJoint(name) for name in bvh_names(skeleton)]
+        frames = range(0, len(dance), max(1, len(dance) // 12))
+        seen = [[np.array(joint.getPosition(frame)) / 100 for joint in joints] for frame in frames]
+        tell("bvhsdk", path, dance.error(frames, seen))
+
+
+def with_pybvh(pybvh):
+    for path, skeleton in of_one_root("pybvh"):
+        bvh = pybvh.Bvh.from_file(str(path))
+        order = [bvh.joint_names.index(name) for name in bvh_names(skeleton)]
+        seen = bvh.joint_positions()[:, order] / 100
+        tell("pybvh", path, dance.error(range(len(dance)), seen), f"{bvh.fps:g} fps")
 
 
 def with_numpy():
@@ -145,7 +168,11 @@ def with_bpy(bpy):
 
 with_numpy()
 with_godot()
-for name, read in [("bvhio", with_bvhio), ("bvhtoolbox", with_bvhtoolbox), ("bpy", with_bpy)]:
+readers = {
+    "bvhio": with_bvhio, "bvhtoolbox": with_bvhtoolbox, "bvhsdk": with_bvhsdk,
+    "pybvh": with_pybvh, "bpy": with_bpy,
+}
+for name, read in readers.items():
     if module := package(name):
         read(module)
 sys.exit(failed)
