@@ -17,6 +17,7 @@ use bailando::{
     npy::read_array,
     options::RequestOptions,
 };
+use bytes::Bytes;
 use ndarray::Array2;
 
 use super::{
@@ -174,21 +175,25 @@ fn one_song(
 ) -> anyhow::Result<()> {
     let started = Instant::now();
     let target = target.as_path();
-    let generation = options.generation(format.motion());
-    let request = match args.audio.is_empty() {
-        true => GenerationRequest::codes(generation),
-        false => GenerationRequest::audio(read_file(input)?, generation),
+    let audio = match args.audio.is_empty() {
+        true => None,
+        false => Some(Bytes::from(read_file(input)?)),
     };
     let bar = Arc::new(Bar::new(&input.display().to_string()));
-    let output = engine.generate(request.with_progress(Arc::clone(&bar) as _))?;
-    let timings = output.timings;
-    let dance = options.looped(output.into_motion(engine.manifest()))?;
+    let dance = options.dance(format.motion(), |generation| {
+        let request = match &audio {
+            None => GenerationRequest::codes(generation),
+            Some(audio) => GenerationRequest::audio(audio.clone(), generation),
+        };
+        let output = engine.generate(request.with_progress(Arc::clone(&bar) as _))?;
+        anyhow::Ok(output.into_motion(engine.manifest()))
+    })?;
     drop(bar);
     match rig {
         Some(rig) => write_file(target, rig.dance(&dance, options.plants_feet())?)?,
         None => args.output.write(&dance, target, format, options)?,
     }
-    detail(&format!("milliseconds: {}", serde_json::to_string(&timings)?));
+    detail(&format!("milliseconds: {}", serde_json::to_string(&dance.timings)?));
     report(&dance, target, started);
     Ok(())
 }

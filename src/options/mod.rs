@@ -4,17 +4,19 @@
 mod accepts;
 mod args;
 mod table;
+mod takes;
 
 pub(crate) use self::accepts::Accepts;
 use self::table::PositionsOption;
 pub use self::table::RequestOptions;
 pub(crate) use self::table::{OPTIONS, OptionSpec, Section};
+pub use self::takes::{Take, Takes};
 use crate::{
     audio::AudioRange,
     engine::GenerationOptions,
     formats::{
-        Codes, FormatError, GeneratedMotion, JsonOptions, LoopOptions, OutputFormat,
-        PositionsSource, WriteOptions,
+        Codes, FormatError, GeneratedMotion, JsonOptions, LoopOptions, MOST_LOOP_DANCES,
+        OutputFormat, PositionsSource, WriteOptions,
     },
 };
 
@@ -95,17 +97,6 @@ impl RequestOptions {
         made.clean && made.root_motion
     }
 
-    /// Keeps the bars that are wanted of a dance.
-    ///
-    /// # Errors
-    /// As [`GeneratedMotion::into_loop`].
-    pub fn looped(&self, dance: GeneratedMotion) -> Result<GeneratedMotion, FormatError> {
-        match self.bars_wanted() {
-            None => Ok(dance),
-            Some(options) => dance.into_loop(options),
-        }
-    }
-
     fn wants_bars(&self) -> bool {
         self.bars.is_some() || self.r#loop == Some(true)
     }
@@ -117,7 +108,15 @@ impl RequestOptions {
             bars: self.bars.unwrap_or(BARS),
             closes: self.r#loop.unwrap_or(true),
             planted: self.plants_feet(),
+            // Given codes are one dance.
+            dances: self.codes.as_ref().map(|_| 1).or(self.candidates),
         })
+    }
+
+    /// As how many dances of one candidate these options count at most.
+    pub(crate) fn most_candidates(&self) -> usize {
+        let own = if self.wants_bars() { MOST_LOOP_DANCES } else { 1 };
+        self.candidates.unwrap_or(own).max(1)
     }
 
     /// The longest part of a song in seconds that these options ask for, if they say.
@@ -200,6 +199,8 @@ impl RequestOptions {
             clean: self.clean.unwrap_or(positions != PositionsSource::Decoder),
             positions,
             music: self.music.unwrap_or(format == OutputFormat::Json) || self.wants_bars(),
+            // Those of a loop are whole dances.
+            candidates: sampling.candidates.filter(|_| !self.wants_bars()),
             ..sampling
         }
     }
@@ -315,13 +316,28 @@ mod tests {
     fn bars_close_to_a_loop_unless_they_are_not_to() {
         let wanted = |text: &str| {
             let bars = query(text).unwrap().bars_wanted();
-            bars.map(|LoopOptions { bars, closes, planted }| (bars, closes, planted))
+            bars.map(|LoopOptions { bars, closes, planted, .. }| (bars, closes, planted))
         };
         assert_eq!(wanted(""), None);
         assert_eq!(wanted("loop=false"), None);
         assert_eq!(wanted("bars=8"), Some((8, true, true)));
         assert_eq!(wanted("loop=true"), Some((4, true, true)));
         assert_eq!(wanted("bars=2&loop=false&clean=false"), Some((2, false, false)));
+    }
+
+    #[test]
+    fn candidates_of_a_loop_are_whole_dances() {
+        let wanted = |text: &str| {
+            let options = query(text).unwrap();
+            let dances = options.bars_wanted().and_then(|wanted| wanted.dances);
+            let segments = options.generation(OutputFormat::Json).candidates;
+            (dances, segments, options.most_candidates())
+        };
+        assert_eq!(wanted(""), (None, None, 1));
+        assert_eq!(wanted("candidates=3"), (None, Some(3), 3));
+        assert_eq!(wanted("candidates=3&bars=2"), (Some(3), None, 3));
+        assert_eq!(wanted("loop=true"), (None, None, MOST_LOOP_DANCES));
+        assert_eq!(wanted("loop=true&codes=[[4,5]]"), (Some(1), None, MOST_LOOP_DANCES));
     }
 
     #[test]

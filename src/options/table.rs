@@ -187,7 +187,8 @@ options! {
              says, more exaggerates both, less weakens them; any value but 1 doubles the cost.";
         candidates: usize, Accepts::Integer(1, MAX_CANDIDATES as u64), MODEL,
             "Candidates for every two to four seconds of motion. The one with the beats nearest to \
-             the music's and the fewest frozen frames is kept; the cost grows with their number.";
+             the music's and the fewest frozen frames is kept; the cost grows with their number. \
+             With `bars`, so many whole dances, in all of which the bars are looked for.";
         redo: bool, Accepts::Boolean, "the model's; true with several candidates",
             "Regenerate two to four seconds of motion in which the dancer freezes (with several \
              candidates also: goes to the ground), up to three times and with at most 12 \
@@ -221,7 +222,8 @@ options! {
             "Where positions come from: `fk`, forward kinematics of the rotations that all formats \
              carry, or `decoder`, the decoder's own, at 60 frames a second and without clean-up.";
         bars: usize, Accepts::Integer(1, 64), "none, 4 with loop=true",
-            "A clip of exactly this many bars of the part of the song, those whose end is most \
+            "A clip of exactly this many bars of the part of the song: of all places in a few \
+             dances, four at most unless `candidates` says how many, the bars whose end is most \
              like their start.";
         r#loop: bool, Accepts::Boolean, "false, true with bars",
             "Whether the end of such a clip flows into its start, in pose, speed, heading and \

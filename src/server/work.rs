@@ -2,21 +2,23 @@
 
 use std::{sync::Arc, time::Duration};
 
+use bytes::Bytes;
+
 use super::{
     blocking,
     config::Limits,
     error::ServerError,
     intake::Order,
     metrics::SharedMetrics,
-    options::RequestOptions,
     resources::{Permit, Stay},
     state::SharedState,
     tracker::{Held, RequestTracker, Work},
 };
 use crate::{
     audio::AudioError,
-    engine::{EngineError, Generation, GenerationOutput, GenerationRequest},
+    engine::{EngineError, Generation, GenerationOptions, GenerationOutput, GenerationRequest},
     formats::GeneratedMotion,
+    options::Take,
 };
 
 impl Order {
@@ -41,27 +43,39 @@ impl Order {
         permit: Permit,
     ) -> Result<(GenerationRequest, Arc<Work>), ServerError> {
         let is_express = permit.is_express();
-        let short = is_express.then(|| self.short_seconds(&state.limits));
         let most = self.most_seconds(&state.limits, is_express);
         let held = Some(state.resources.audio.reserve(most).await);
-        let (audio, upload) = match short {
-            Some(_) => (self.audio.clone(), None),
-            None => (std::mem::take(&mut self.audio), self.upload.take()),
+        let options = self.options.generation(self.shape.format);
+        // Who may have to begin again keeps the song.
+        let (audio, upload) = match is_express || self.options.bars_wanted().is_some() {
+            true => (self.audio.clone(), None),
+            false => (std::mem::take(&mut self.audio), self.upload.take()),
         };
         let work = Work::begin(&self.tracker, Held { upload, audio: held, permit: Some(permit) });
-        let options = self.options.generation(self.shape.format);
+        let short = is_express.then(|| self.short_seconds(&state.limits));
+        Ok((self.request(audio, options, short, &work), work))
+    }
+
+    /// A request to the engine; `short` is the longest song in seconds that it accepts.
+    fn request(
+        &self,
+        audio: Bytes,
+        options: GenerationOptions,
+        short: Option<f64>,
+        work: &Arc<Work>,
+    ) -> GenerationRequest {
         let request = match audio.is_empty() {
             true => GenerationRequest::codes(options),
             false => GenerationRequest::audio(audio, options),
         };
         let request = request.owned_by(self.client.number());
-        let request = request.with_progress(Arc::clone(&work) as _);
-        Ok((short.into_iter().fold(request, GenerationRequest::within), work))
+        let request = request.with_progress(Arc::clone(work) as _);
+        short.into_iter().fold(request, GenerationRequest::within)
     }
 
     /// The longest dance that counts as short.
     fn short_seconds(&self, limits: &Limits) -> f64 {
-        limits.short_seconds / self.options.candidates.unwrap_or(1).max(1) as f64
+        limits.short_seconds / self.options.most_candidates() as f64
     }
 
     /// The most whole seconds that the dance can take, in the worker for short requests or another.
@@ -111,41 +125,49 @@ pub(crate) async fn dance(
     kind: &'static str,
 ) -> Result<(GeneratedMotion, Arc<Work>), ServerError> {
     let waited = permit.waited;
+    let short = permit.is_express().then(|| order.short_seconds(&state.limits));
     let (request, work) = order.begin(state, permit).await?;
-    let generation = order.engine.submit(request);
-    let metrics = &state.metrics;
-    let output = finished(metrics, generation, &order.tracker, waited, kind).await;
-    match output {
-        Ok(output) => {
-            work.free_audio();
-            let dance = output.into_motion(order.engine.manifest());
-            match with_bars(metrics, &order.options, dance).await {
-                Ok(dance) => Ok((dance, work)),
-                Err(error) => {
-                    drop(work.end());
-                    Err(error)
-                }
-            }
-        }
-        Err(error) => {
-            drop(work.end());
-            Err(error)
-        }
+    let danced = takes(state, order, request, (waited, short, kind), &work).await;
+    if danced.is_err() {
+        drop(work.end());
     }
+    Ok((danced?, work))
 }
 
-/// Keeps the bars that are wanted, off the async threads.
-async fn with_bars(
-    metrics: &SharedMetrics,
-    options: &RequestOptions,
-    dance: GeneratedMotion,
+/// Generates as many dances as the options want, one after another.
+async fn takes(
+    state: &SharedState,
+    order: &Order,
+    mut request: GenerationRequest,
+    (mut waited, short, kind): (Duration, Option<f64>, &'static str),
+    work: &Arc<Work>,
 ) -> Result<GeneratedMotion, ServerError> {
-    if options.bars_wanted().is_none() {
-        return Ok(dance);
+    let metrics = &state.metrics;
+    let mut takes = order.options.takes();
+    loop {
+        let generation = order.engine.submit(request);
+        let output = finished(metrics, generation, &order.tracker, waited, kind).await?;
+        let dance = output.into_motion(order.engine.manifest());
+        if order.options.bars_wanted().is_none() {
+            work.free_audio();
+            return Ok(dance);
+        }
+        let compare = move || takes.push(dance).map_err(ServerError::from);
+        let seed = match blocking::blocking(metrics, "loop", compare).await? {
+            Take::Done(dance) => {
+                work.free_audio();
+                return Ok(dance);
+            }
+            Take::Another(rest, seed) => {
+                takes = rest;
+                seed
+            }
+        };
+        waited = Duration::ZERO;
+        let options = order.options.generation(order.shape.format);
+        let options = GenerationOptions { seed: Some(seed), ..options };
+        request = order.request(order.audio.clone(), options, short, work);
     }
-    let options = options.clone();
-    let keep = move || options.looped(dance).map_err(ServerError::from);
-    blocking::blocking(metrics, "loop", keep).await
 }
 
 /// Waits for a generation of `kind`, which waited for a permit before, and counts it.

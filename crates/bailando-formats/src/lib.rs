@@ -74,7 +74,7 @@ pub use events::{DoneJson, FramesJson, Start, StartJson, done_event, frames_even
 pub use fbx::to_fbx;
 pub use glb::{GlbOptions, to_glb};
 pub use json::{JsonOptions, MotionJson, SkeletonJson, to_json};
-pub use looped::LoopOptions;
+pub use looped::{LoopOptions, LoopSearch, MOST_LOOP_DANCES};
 pub use motion::{GeneratedMotion, MusicInfo, Timings};
 pub use npz::to_npz;
 pub use numbers::Encoding;

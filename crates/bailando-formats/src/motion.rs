@@ -1,6 +1,6 @@
 //! The result of a generation.
 
-use std::time::Duration;
+use std::{ops::AddAssign, time::Duration};
 
 use bailando_motion::{Animation, Positions, PositionsSource, Skeleton};
 use serde::{Serialize, Serializer};
@@ -49,6 +49,16 @@ pub struct Timings {
     #[serde(serialize_with = "milliseconds")]
     #[cfg_attr(feature = "openapi", schema(value_type = f64))]
     pub motion: Duration,
+}
+
+impl AddAssign for Timings {
+    fn add_assign(&mut self, other: Self) {
+        self.queue += other.queue;
+        self.decode += other.decode;
+        self.features += other.features;
+        self.inference += other.inference;
+        self.motion += other.motion;
+    }
 }
 
 fn milliseconds<S: Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {

@@ -7,6 +7,7 @@ use bailando::{
     formats::OutputFormat,
     options::RequestOptions,
 };
+use bytes::Bytes;
 
 use super::{args::BatchArgs, dancer::Dancer};
 use crate::cli::console::{read_file, write_file};
@@ -34,10 +35,11 @@ impl Local {
 
 impl Dancer for Local {
     fn dance(&self, song: &Path, result: &Path) -> anyhow::Result<()> {
-        let options = self.options.generation(self.format);
-        let request = GenerationRequest::audio(read_file(song)?, options);
-        let dance = self.engine.generate(request)?.into_motion(self.engine.manifest());
-        let dance = self.options.looped(dance)?;
+        let audio = Bytes::from(read_file(song)?);
+        let dance = self.options.dance(self.format, |options| {
+            let output = self.engine.generate(GenerationRequest::audio(audio.clone(), options))?;
+            anyhow::Ok(output.into_motion(self.engine.manifest()))
+        })?;
         write_file(result, self.format.write(&dance, &self.options.writing())?)
     }
 }
