@@ -1,17 +1,20 @@
 #!/usr/bin/env python3
 """Row 2: decode bombs, small files that claim or hold far too much.
 
-Each is answered with a 4xx within 500 ms, and the server's memory rises by 64 MiB at most. One
-dance is made before, so that what every dance leaves behind is no part of the rise.
+Each is answered with a 4xx within 500 ms, and the server's memory rises by 64 MiB at most; an MP3
+behind a tag of a wrong size is danced to, as docs/audio.md says. One dance is made before, so that
+what every dance leaves behind is no part of the rise.
 """
 
 import struct
 
+from client import dance_problem
 from harness import MIB, Server, Verdict, arguments, percentile
 from songs import fixture, long_wav, mp3, silent_flac, wav
 
 HOURS = 36_000 * 48_000
 SLOWEST = 0.5
+READ_ALL_THE_SAME = "mp3 behind a tag of 256 MiB"
 MOST_MEMORY = 64
 
 
@@ -57,7 +60,7 @@ def bombs():
             255, 192_000, kib, bits=64, declared=0xFFFF_FFF0
         ),
         "m4a whose table has no end": endless_table(),
-        "mp3 behind a tag of 256 MiB": with_tag(0x0FFF_FFFF),
+        READ_ALL_THE_SAME: with_tag(0x0FFF_FFFF),
     }
 
 
@@ -81,9 +84,11 @@ def main():
                 f"at most {1000 * slowest:.0f} ms, memory so far +{rise:.1f} MiB"
             )
             for reply in replies:
-                if not 400 <= reply.status < 500 or reply.refusal_problem():
+                refused = 400 <= reply.status < 500 and not reply.refusal_problem()
+                danced = reply.status == 200 and not dance_problem(reply)
+                if not (danced if name == READ_ALL_THE_SAME else refused):
                     problems.append(f"{name}: {reply.status} {reply.body[:100]!r}")
-        verdict.problems("answers that are no 4xx in our shape", problems)
+        verdict.problems("answers other than a 4xx in our shape", problems)
         verdict.at_most("slowest answer", 1000 * max(seconds), 1000 * SLOWEST, "ms", timed=True)
         verdict.note(f"half of them within {1000 * percentile(seconds, 50):.0f} ms")
         verdict.at_most("rise of memory", (server.peak_rss() - before) / MIB, MOST_MEMORY, "MiB")

@@ -201,7 +201,8 @@ def jobs(server, seconds):
         server.post("/jobs?candidates=16&music=false", long_wav(seconds), headers).status
         for _ in range(16)
     ]
-    assert statuses.count(429) >= 4, statuses
+    # As many jobs, and as many bytes, as one client may have.
+    assert statuses.count(429) + statuses.count(503) >= 4, statuses
     reply = server.post("/jobs?duration_s=2", mp3(4), [key(HONEST), "content-type: audio/mpeg"])
     assert reply.status == 202, reply.error_type()
     time.sleep(10)

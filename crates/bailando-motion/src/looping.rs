@@ -15,11 +15,11 @@ use crate::{
 
 /// Seconds before the end over which what differs from the start is blended in.
 const BLEND: f32 = 0.7;
-/// Seconds of the root's velocity that weigh as much as its place, and of a joint's angular velocity
-/// that weigh as much as its pose: less, for there are many joints.
+/// Seconds of the root's velocity that weigh as much as its place, and of a joint's angular
+/// velocity that weigh as much as its pose: less, for there are many joints.
 const RATES: [f32; 2] = [0.15, 0.0375];
-/// What a radian of heading and a metre of the path, which are taken back over the whole part, weigh
-/// against those that are blended in.
+/// What a radian of heading and a metre of the path, which are taken back over the whole part,
+/// weigh against those that are blended in.
 const TRAVEL: f32 = 0.5;
 
 /// Returns which of `parts`, ranges of frames, ends most like it begins, and by how much its end

@@ -82,8 +82,8 @@ impl FeetPlanter {
     }
 
     /// For a figure with soles of its own: takes the roll from feet near the floor, too, so that
-    /// they stand flat on it; `toes` are lengths of toes in the order of the skeleton's foot joints,
-    /// `sag` is how far a skin comes below bent ones, both in metres.
+    /// they stand flat on it; `toes` are lengths of toes in the order of the skeleton's foot
+    /// joints, `sag` is how far a skin comes below bent ones, both in metres.
     pub(crate) fn with_soles(mut self, toes: [f64; 2], sag: f64) -> Self {
         for (leg, length) in self.legs.iter_mut().zip(toes) {
             leg.foot = leg.foot.with_toes(length, sag);
