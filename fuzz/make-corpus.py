@@ -536,7 +536,10 @@ def graphs():
         "initializer": lambda tensor: model(field(5, tensor)),
         "sparse": lambda tensor: model(field(15, field(1, tensor))),
         "constant": lambda tensor: model(field(1, field(4, b"Constant") + attribute(5, tensor))),
-        "constants": lambda tensor: model(field(1, field(4, b"Other") + attribute(10, tensor))),
+        "constants": lambda tensor: model(field(1, field(4, b"Constant") + attribute(10, tensor))),
+    }
+    # Graphs inside of graphs are refused, wherever their values lie.
+    nested = {
         "branch": lambda tensor: model(
             field(1, field(4, b"If") + attribute(6, field(5, tensor)))
         ),
@@ -547,6 +550,9 @@ def graphs():
     for name, place in places.items():
         write("graph", f"good-{name}", place(inside))
         write("graph", f"bad-{name}", place(outside))
+    for name, place in nested.items():
+        write("graph", f"bad-{name}", place(outside))
+        write("graph", f"bad-{name}-inside", place(inside))
     write("graph", "bad-cut-off", places["initializer"](inside)[:-20])
     write("graph", "bad-longer-than-the-file", field(1, 9) + varint(7 << 3 | 2) + varint(1 << 60))
     write("graph", "bad-group", varint(7 << 3 | 3) + varint(7 << 3 | 4))

@@ -281,7 +281,8 @@ mod tests {
                 style: Some("krump".into()),
                 energy: Some(0.75),
                 guidance: Some(2.5),
-                candidates: Some(3),
+                // With bars they are whole dances.
+                candidates: None,
                 redo: Some(false),
                 form: Some(true),
                 start_upper: Some(1),
