@@ -39,9 +39,9 @@ pub struct Reached {
     pub codes_total: i64,
 }
 
-/// The owner with the fewest jobs in work is next, so that nobody's priority keeps others waiting;
-/// of its jobs, and among such owners, the one of the highest priority; then the first. One that
-/// has never failed waits for nothing, whenever it was ordered by a clock that was ahead.
+/// The order in which jobs are taken: first those of the owner with the fewest jobs in work, so
+/// that a high priority does not hold up other owners; then by priority; then by age. A job that
+/// has never failed is taken at once, even if the clock was ahead when it was ordered.
 macro_rules! claim {
     ($lock:literal) => {
         concat!(

@@ -176,8 +176,8 @@ async fn keep(
         };
         drop(held);
         let is_kept = matches!(kept, Ok(Some(Inserted::New)));
-        // An order that was accepted is one, whoever waits for the answer; and nobody waits for a
-        // store that does not answer a second time.
+        // The answer comes before the clean-up, which can take long where the store does not
+        // answer. A client that has left does not undo its order.
         drop(answer.send(kept));
         if !is_kept {
             // Nobody will ask for it; what is left is swept.
