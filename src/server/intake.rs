@@ -8,7 +8,7 @@ use tracing::Instrument;
 
 use super::{
     error::ServerError,
-    jobs::options::JobOptions,
+    jobs::{options::JobOptions, song::SongWriter},
     layers::client::Client,
     options::RequestOptions,
     resources::{Stay, UploadReservation},
@@ -41,6 +41,8 @@ pub(crate) struct Order {
     pub(crate) engine: Arc<dyn Generate>,
     pub(crate) client: Client,
     pub(crate) audio: Bytes,
+    /// The song of a job, which is in the store once it is kept.
+    pub(crate) song: Option<SongWriter>,
     pub(crate) options: RequestOptions,
     /// The caller's own character.
     pub(crate) rig: Option<Rig>,
@@ -90,7 +92,10 @@ pub(crate) async fn receive(
     let received = async {
         let mut place = state.resources.uploads.begin(client)?;
         let body = body.timed(limits);
-        let asked = upload::Asked { options, job: (purpose == Purpose::Job).then_some(job) };
+        let orders = purpose == Purpose::Job;
+        let writer = || SongWriter::new(&state.jobs, place.bytes(), Arc::clone(&state.metrics));
+        let song = orders.then(writer);
+        let asked = upload::Asked { options, job: orders.then_some(job), song };
         let upload = upload::receive(parts, body, media, asked, limits, &mut place)
             .instrument(tracing::info_span!("stage", otel.name = "upload"))
             .await?;
@@ -117,9 +122,10 @@ pub(crate) async fn receive(
             None => shape(purpose, &upload.options, &accept)?,
         };
         engine.check(&upload.options.generation(shape.format))?;
-        Ok::<_, ServerError>((upload.audio, upload.options, rig, job, shape, place))
+        let (audio, song) = (upload.audio, upload.song);
+        Ok::<_, ServerError>((audio, song, upload.options, rig, job, shape, place))
     };
-    let (audio, options, rig, job, shape, place) = match received.await {
+    let (audio, song, options, rig, job, shape, place) = match received.await {
         Ok(received) => received,
         Err(error) => {
             waiting.answered();
@@ -131,6 +137,7 @@ pub(crate) async fn receive(
         engine: Arc::clone(engine),
         client,
         audio,
+        song,
         options,
         rig,
         shape,

@@ -4,8 +4,8 @@
 Orders, their files on the disk, their events, callbacks and results, all attacks or those that are
 named, each against a server of its own with default limits. Beside each an honest client with
 another key asks for a dance of 4 s and for `/health`. Both must be answered: the dance within 3 s,
-or with an honest 429. Memory stays within 1 GiB, and the server ends with 0. `full_disk` mounts a
-small file system, and is left out where that takes another user than root.
+or with an honest 429. Memory stays within 1 GiB, and the server ends with 0. `full_disk` and
+`read_only` mount a small file system, and are left out where that takes another user than root.
 """
 
 import atexit
@@ -106,6 +106,33 @@ def full_disk(server):
     assert again.status == 202, (deleted, again.status, again.error_type())
     seen = f"{accepted.count(202)} accepted, the other {reply.status}"
     return f"{seen}; deleted {set(deleted)}, then {again.status}"
+
+
+def read_only(server):
+    """A disk that lets nothing be written for a while, as after a fault of the disk."""
+    done = [json.loads(order(server, "duration_s=1", mp3(5)).body)["id"]]
+    finished(server, *done)
+    result = f"/jobs/{done[0]}/result"
+    before = server.get(result, [key(GREEDY)]).body
+
+    def mode(name):
+        subprocess.run(["mount", "-o", f"remount,{name}", server.data], check=True)
+
+    mode("ro")
+    try:
+        refused = order(server, "", mp3(6))
+        assert (refused.status, refused.error_type()) == (503, "job_store"), refused.body
+        read = server.get(result, [key(GREEDY)])
+        assert read.status == 200 and read.body == before, read.body[:200]
+        others = [server.get("/health").status, ask(server.port, "POST", "/generate", mp3(4),
+                  ["content-type: audio/mpeg", key(GREEDY)]).status]  # fmt: skip
+        assert others == [200, 200], others
+    finally:
+        mode("rw")
+    again = order(server, "duration_s=1", mp3(6))
+    assert again.status == 202, again.body
+    finished(server, json.loads(again.body)["id"])
+    return f"meanwhile {refused.status}, results are read, dances made; then {again.status}"
 
 
 def damaged(server):
@@ -283,7 +310,7 @@ def prepare(attack):
     name = attack.__name__
     folder = scratch() / name
     folder.mkdir()
-    if name == "full_disk":
+    if name in ("full_disk", "read_only"):
         subprocess.run(["mount", "-t", "tmpfs", "-o", "size=24m", "none", folder], check=True)
         atexit.register(subprocess.run, ["umount", "-l", folder])
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -294,5 +321,5 @@ def prepare(attack):
 
 if __name__ == "__main__":
     attacks = [job_bytes, job_list, events, hung_orders, damaged, callbacks, ranges, guesses]
-    as_root = [full_disk] if os.geteuid() == 0 else []
+    as_root = [full_disk, read_only] if os.geteuid() == 0 else []
     run(18, __doc__, [*attacks, coded, result_streams, few_files, *as_root], prepare)

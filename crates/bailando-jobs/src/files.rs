@@ -8,7 +8,8 @@ use object_store::{
     GetOptions, GetRange, ObjectStore, ObjectStoreExt, RetryConfig, aws::AmazonS3Builder,
     buffered::BufWriter, local::LocalFileSystem, memory::InMemory, path::Path, prefix::PrefixStore,
 };
-use tokio::io::AsyncWriteExt;
+use sync_wrapper::SyncWrapper;
+use tokio::{io::AsyncWriteExt, runtime::Handle};
 
 use super::{JobsError, database::without_password};
 
@@ -86,7 +87,10 @@ impl Files {
     #[must_use]
     pub fn write(&self, name: &str) -> FileWriter {
         let writer = BufWriter::with_capacity(Arc::clone(&self.store), Path::from(name), PART);
-        FileWriter { writer: writer.with_max_concurrency(PARTS_AT_ONCE), bytes: 0 }
+        FileWriter {
+            writer: Some(SyncWrapper::new(writer.with_max_concurrency(PARTS_AT_ONCE))),
+            bytes: 0,
+        }
     }
 
     /// Writes a whole file.
@@ -198,7 +202,8 @@ impl Files {
         })
     }
 
-    /// Deletes what a killed process has left of files that it was writing to a folder; blocks.
+    /// Deletes what a killed process has left of files that it was writing to a folder, and empty
+    /// folders; blocks.
     pub fn delete_fragments(&self, age: Duration) {
         let mut folders: Vec<_> = self.folder.iter().map(|folder| folder.to_path_buf()).collect();
         while let Some(folder) = folders.pop() {
@@ -214,6 +219,10 @@ impl Files {
                     .is_ok_and(|time| time.elapsed().is_ok_and(|elapsed| elapsed > age));
                 if about.is_dir() {
                     folders.push(entry.path());
+                    if old {
+                        // Of a file that was given up; one that is not empty stays.
+                        drop(fs::remove_dir(entry.path()));
+                    }
                 } else if is_fragment && old {
                     drop(fs::remove_file(entry.path()));
                 }
@@ -237,18 +246,24 @@ pub(crate) fn missing(error: object_store::Error, name: &str) -> JobsError {
 /// A file that is being written. Dropped before it is finished, it is not there.
 #[derive(Debug)]
 pub struct FileWriter {
-    writer: BufWriter,
+    /// Until it is finished.
+    writer: Option<SyncWrapper<BufWriter>>,
     bytes: u64,
 }
 
 impl FileWriter {
+    /// Most bytes that are held of a file while it is written in pieces; the rest is in the store.
+    pub const MOST_HELD: usize = (PARTS_AT_ONCE + 1) * PART;
+
     /// Adds a piece; waits where the store is slower than its writer.
     ///
     /// # Errors
     /// [`JobsError::Store`].
     pub async fn push(&mut self, piece: Bytes) -> Result<(), JobsError> {
         self.bytes += piece.len() as u64;
-        Ok(self.writer.put(piece).await?)
+        #[expect(clippy::expect_used, reason = "only what ends the writer takes it")]
+        let writer = self.writer.as_mut().expect("the file is being written");
+        Ok(writer.get_mut().put(piece).await?)
     }
 
     /// Completes the file; its size in bytes.
@@ -256,14 +271,23 @@ impl FileWriter {
     /// # Errors
     /// [`JobsError::Store`].
     pub async fn finish(mut self) -> Result<u64, JobsError> {
-        self.writer.shutdown().await.map_err(store_error)?;
+        if let Some(writer) = self.writer.take() {
+            writer.into_inner().shutdown().await.map_err(store_error)?;
+        }
         Ok(self.bytes)
     }
+}
 
-    /// Gives up what was written.
-    pub async fn abort(mut self) {
-        // What is left is deleted by its age.
-        drop(self.writer.abort().await);
+impl Drop for FileWriter {
+    fn drop(&mut self) {
+        // A store keeps the parts of a file until it is told that the rest does not come. What is
+        // left even so is deleted by its age.
+        let begun = self.bytes >= PART as u64;
+        if let (Some(writer), true, Ok(runtime)) =
+            (self.writer.take(), begun, Handle::try_current())
+        {
+            runtime.spawn(async move { drop(writer.into_inner().abort().await) });
+        }
     }
 }
 

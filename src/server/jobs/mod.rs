@@ -4,5 +4,6 @@ pub(crate) mod options;
 pub(crate) mod order;
 pub(crate) mod owners;
 pub(crate) mod service;
+pub(crate) mod song;
 pub(crate) mod status;
 pub(crate) mod storage;

@@ -37,12 +37,12 @@ pub(crate) struct Prepared {
 }
 
 impl StoredOrder {
-    /// Prepares an order of a dance to a song, of at most `most_codes`. A seed that was left open
-    /// is drawn here.
+    /// Prepares an order of a dance to a song, by its SHA-256, of at most `most_codes`. A seed that
+    /// was left open is drawn here.
     pub(crate) fn prepare(
         options: &RequestOptions,
         format: OutputFormat,
-        audio: &[u8],
+        song: [u8; 32],
         model: &str,
         most_codes: usize,
     ) -> Prepared {
@@ -58,7 +58,6 @@ impl StoredOrder {
             .map(|(name, given)| (Cow::Borrowed(*name), text(name, given)))
             .collect();
         pairs.sort();
-        let song = Sha256::digest(audio);
         let key = |pairs: &[(Cow<'static, str>, String)]| {
             let mut hash = Sha256::new();
             hash.update(song);
@@ -191,7 +190,7 @@ mod tests {
         for (name, text) in options {
             given.set(name, text).unwrap();
         }
-        StoredOrder::prepare(&given, OutputFormat::Bvh, audio, model, 3)
+        StoredOrder::prepare(&given, OutputFormat::Bvh, Sha256::digest(audio).into(), model, 3)
     }
 
     #[test]

@@ -98,6 +98,13 @@ impl HeldBytes {
             false => Err(held.retry_after()),
         }
     }
+
+    /// Gives so many of them back.
+    pub(crate) fn give_back(&self, bytes: u64) {
+        let mut held = self.lock();
+        let kept = (held.units() as u64).saturating_sub(bytes);
+        held.shrink_to(kept);
+    }
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use axum::{
     extract::{DefaultBodyLimit, FromRequest, Multipart, Request, multipart::Field},
     http::{header, request::Parts},
 };
-use bytes::{Bytes, BytesMut};
+use bytes::{Buf, Bytes, BytesMut};
 use futures_util::{Stream, StreamExt, TryStreamExt};
 
 use super::{
@@ -18,7 +18,7 @@ use crate::formats::FormatError;
 use crate::server::{
     config::{ByteSize, FORM_OVERHEAD, Limits},
     error::ServerError,
-    jobs::options::JobOptions,
+    jobs::{options::JobOptions, song::SongWriter},
     options::{RequestOptions, longest_value, shorten},
     resources::UploadReservation,
     rig::RigParts,
@@ -26,11 +26,15 @@ use crate::server::{
 
 /// Longest mapping of bones in bytes.
 const LONGEST_MAPPING: usize = 16 * 1024;
+/// Bytes that are handed to the store at once.
+const PIECE: usize = 1 << 20;
 
 /// A request that has arrived completely.
 pub(crate) struct Upload {
-    /// Empty where the options carry the codes to dance.
+    /// Empty where the options carry the codes to dance, or the song went to the store.
     pub(crate) audio: Bytes,
+    /// The song of a job, all of it written.
+    pub(crate) song: Option<SongWriter>,
     pub(crate) rig: RigParts,
     pub(crate) options: RequestOptions,
     /// What it has beside its dance, where it is a job.
@@ -42,6 +46,8 @@ pub(crate) struct Asked {
     pub(crate) options: RequestOptions,
     /// None where the request orders no job.
     pub(crate) job: Option<JobOptions>,
+    /// Where the song of a job goes.
+    pub(crate) song: Option<SongWriter>,
 }
 
 /// Refuses a body with a declared length above every limit.
@@ -75,15 +81,17 @@ pub(crate) async fn receive(
     let body = body.limited(most_bytes(media, limits)).counted(reservation);
     let upload = match media {
         Media::Raw => {
-            let mut audio = AudioBuffer::new(limits, body.declared());
+            let Asked { options, job, mut song } = asked;
+            let mut audio = AudioBuffer::new(limits, body.declared(), song.as_mut());
             collect(&mut audio, body, |error| body_error(&error, limits)).await?;
-            let (rig, job) = (RigParts::default(), asked.job);
-            Upload { audio: audio.finish()?, rig, options: asked.options, job }
+            let audio = audio.finish().await?;
+            Upload { audio, song, rig: RigParts::default(), options, job }
         }
         Media::Form => receive_form(parts, body, asked, limits).await?,
     };
     reservation.received();
-    match upload.audio.is_empty() && upload.options.given_codes().is_none() {
+    let written = upload.song.as_ref().map_or(0, SongWriter::bytes);
+    match upload.audio.is_empty() && written == 0 && upload.options.given_codes().is_none() {
         true => Err(ServerError::MissingAudio),
         false => Ok(upload),
     }
@@ -99,7 +107,7 @@ fn most_bytes(media: Media, limits: &Limits) -> u64 {
 async fn receive_form(
     mut parts: Parts,
     body: IncomingBody,
-    Asked { mut options, mut job }: Asked,
+    Asked { mut options, mut job, mut song }: Asked,
     limits: &Limits,
 ) -> Result<Upload, ServerError> {
     let no_boundary = || {
@@ -119,7 +127,7 @@ async fn receive_form(
     let mut form = Multipart::from_request(request, &())
         .await
         .map_err(|rejection| ServerError::Multipart(rejection.body_text()))?;
-    let mut audio: Option<Bytes> = None;
+    let (mut audio, mut is_empty): (Option<Bytes>, bool) = (None, false);
     let mut rig = RigParts::default();
     while let Some(field) = form.next_field().await.map_err(|error| form_error(&error, limits))? {
         kept.delivered(0);
@@ -130,10 +138,11 @@ async fn receive_form(
                     "part `file` was sent more than once: send one song".to_owned(),
                 ));
             }
-            let mut buffer = AudioBuffer::new(limits, None);
+            let mut buffer = AudioBuffer::new(limits, None, song.as_mut());
             let field = field.inspect_ok(|chunk| kept.delivered(chunk.len()));
             collect(&mut buffer, field, |error| form_error(&error, limits)).await?;
-            audio = Some(buffer.finish()?);
+            is_empty = buffer.received == 0;
+            audio = Some(buffer.finish().await?);
         } else if name == "rig" {
             if rig.file.is_some() {
                 return Err(ServerError::Multipart(
@@ -156,9 +165,9 @@ async fn receive_form(
             }
         }
     }
-    match audio {
-        Some(audio) if audio.is_empty() => Err(ServerError::EmptyAudio),
-        audio => Ok(Upload { audio: audio.unwrap_or_default(), rig, options, job }),
+    match is_empty {
+        true => Err(ServerError::EmptyAudio),
+        false => Ok(Upload { audio: audio.unwrap_or_default(), song, rig, options, job }),
     }
 }
 
@@ -205,27 +214,60 @@ async fn collect<E>(
     explain: impl Fn(E) -> ServerError,
 ) -> Result<(), ServerError> {
     while let Some(chunk) = chunks.next().await {
-        audio.push(&chunk.map_err(&explain)?)?;
+        audio.push(&chunk.map_err(&explain)?).await?;
     }
     Ok(())
 }
 
 /// Audio so far, up to the limit of the format that its first bytes name.
 struct AudioBuffer<'a> {
+    /// What has not gone to the store.
     bytes: BytesMut,
+    received: u64,
+    lossless: Option<bool>,
     // Only used to refuse early: no memory is reserved for it.
     declared: u64,
     limits: &'a Limits,
+    song: Option<&'a mut SongWriter>,
 }
 
 impl<'a> AudioBuffer<'a> {
-    fn new(limits: &'a Limits, declared: Option<u64>) -> Self {
-        Self { bytes: BytesMut::new(), declared: declared.unwrap_or_default(), limits }
+    fn new(limits: &'a Limits, declared: Option<u64>, song: Option<&'a mut SongWriter>) -> Self {
+        let declared = declared.unwrap_or_default();
+        let (bytes, received, lossless) = (BytesMut::new(), 0, None);
+        Self { bytes, received, lossless, declared, limits, song }
     }
 
-    fn push(&mut self, chunk: &[u8]) -> Result<(), ServerError> {
+    async fn push(&mut self, chunk: &[u8]) -> Result<(), ServerError> {
+        self.received += chunk.len() as u64;
         self.bytes.extend_from_slice(chunk);
-        self.check(is_lossless(&self.bytes).unwrap_or(true))
+        if self.lossless.is_none() {
+            self.lossless = is_lossless(&self.bytes);
+        }
+        self.check(self.lossless.unwrap_or(true))?;
+        // A tag in front, of whatever size, stays until the format behind it is known.
+        match self.lossless {
+            Some(_) => self.write(PIECE).await,
+            None => Ok(()),
+        }
+    }
+
+    /// Hands pieces to the store until fewer than `least` bytes are left.
+    async fn write(&mut self, least: usize) -> Result<(), ServerError> {
+        let Some(song) = &mut self.song else {
+            return Ok(());
+        };
+        while !self.bytes.is_empty() && self.bytes.len() >= least {
+            // A copy: the store would keep all of the buffer for a piece of it.
+            let piece = Bytes::copy_from_slice(&self.bytes[..self.bytes.len().min(PIECE)]);
+            self.bytes.advance(piece.len());
+            song.push(piece).await?;
+        }
+        // What a large tag took is given back.
+        if self.bytes.capacity() > 2 * PIECE {
+            self.bytes = BytesMut::from(&self.bytes[..]);
+        }
+        Ok(())
     }
 
     fn check(&self, lossless: bool) -> Result<(), ServerError> {
@@ -233,15 +275,17 @@ impl<'a> AudioBuffer<'a> {
             true => self.limits.payload_limit_lossless,
             false => self.limits.payload_limit,
         };
-        match self.declared.max(self.bytes.len() as u64) > limit.0 {
+        match self.declared.max(self.received) > limit.0 {
             true => Err(too_large(limit, self.limits)),
             false => Ok(()),
         }
     }
 
-    /// Returns all audio. A file that ends before it names its format is not lossless.
-    fn finish(self) -> Result<Bytes, ServerError> {
-        self.check(is_lossless(&self.bytes).unwrap_or(false))?;
+    /// Returns all audio that did not go to the store. A file that ends before it names its format
+    /// is not lossless.
+    async fn finish(mut self) -> Result<Bytes, ServerError> {
+        self.check(self.lossless.unwrap_or(false))?;
+        self.write(0).await?;
         Ok(self.bytes.freeze())
     }
 }
@@ -298,20 +342,23 @@ fn form_error(error: &axum::extract::multipart::MultipartError, limits: &Limits)
 mod tests {
     use super::*;
 
-    #[test]
-    fn an_id3_tag_in_front_leaves_flac_and_wav_their_larger_limit() {
+    #[tokio::test]
+    async fn an_id3_tag_in_front_leaves_flac_and_wav_their_larger_limit() {
         let limits = Limits {
             payload_limit: ByteSize(64),
             payload_limit_lossless: ByteSize(256),
             ..Limits::default()
         };
-        let accepts = |audio: &[u8]| {
+        for (audio, accepted) in
+            [(b"fLaC".as_slice(), true), (b"RIFF\0\0\0\0WAVE", true), (b"\xff\xfb\x90\0", false)]
+        {
             let file = [b"ID3\x04\0\0\0\0\0\x02xx".as_slice(), audio, &[0; 100]].concat();
-            let mut buffer = AudioBuffer::new(&limits, None);
-            file.chunks(10).all(|chunk| buffer.push(chunk).is_ok())
-        };
-        assert!(accepts(b"fLaC"));
-        assert!(accepts(b"RIFF\0\0\0\0WAVE"));
-        assert!(!accepts(b"\xff\xfb\x90\0"));
+            let mut buffer = AudioBuffer::new(&limits, None, None);
+            let mut fits = true;
+            for chunk in file.chunks(10) {
+                fits &= buffer.push(chunk).await.is_ok();
+            }
+            assert_eq!(fits, accepted, "{audio:?}");
+        }
     }
 }

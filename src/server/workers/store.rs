@@ -59,11 +59,7 @@ async fn put(jobs: &Jobs, lease: &Lease, kind: &str, bytes: Vec<u8>) -> Result<u
     let mut writer = jobs.files.write(&Jobs::result(lease.job.id, lease.job.starts, kind));
     let mut rest = Bytes::from(bytes);
     while !rest.is_empty() {
-        let piece = rest.split_to(PIECE.min(rest.len()));
-        if let Err(error) = writer.push(piece).await {
-            writer.abort().await;
-            return Err(error.into());
-        }
+        writer.push(rest.split_to(PIECE.min(rest.len()))).await?;
     }
     Ok(writer.finish().await?)
 }

@@ -154,6 +154,7 @@ async fn dance(
         engine,
         client,
         audio,
+        song: None,
         options: options.clone(),
         rig: None,
         shape: Shape { format, encoding: Encoding::Identity, lines: false },

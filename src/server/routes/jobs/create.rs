@@ -8,8 +8,7 @@ use axum::{
     http::{HeaderName, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
-use bailando_jobs::{Inserted, JobRecord, JobsError, NewJob, now};
-use bytes::Bytes;
+use bailando_jobs::{Inserted, JobRecord, NewJob, now};
 use tokio::sync::oneshot;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 use uuid::Uuid;
@@ -21,19 +20,17 @@ use crate::server::{
     jobs::{
         order::{Prepared, StoredOrder, from_text, to_text},
         service::Jobs,
+        song::SongWriter,
         status::JobStatus,
     },
     layers::{client::Client, envelope::request_id},
     options::RequestOptions,
-    resources::UploadReservation,
     response::documented::NewJobErrors,
     state::SharedState,
     upload::body::IncomingBody,
     workers,
 };
 
-/// Bytes that are handed to the store at once.
-const PIECE: usize = 1 << 20;
 /// Says that the job was ordered before, with the same `Idempotency-Key`.
 const REPLAYED: HeaderName = HeaderName::from_static("idempotency-replayed");
 
@@ -115,13 +112,15 @@ async fn accept(
     let jobs = &state.jobs;
     let owner = jobs.owners().name(client);
     let model = order.engine.model_sha256();
+    #[expect(clippy::expect_used, reason = "intake makes one for every job")]
+    let song = order.song.take().expect("a job has a song, an empty one too");
     let prepared = {
-        let (options, audio) = (order.options.clone(), order.audio.clone());
+        let (options, hash) = (order.options.clone(), song.hash());
         let (format, model) = (order.shape.format, model.to_owned());
         // Those of the longest dance, and a second more.
         let seconds = state.limits.max_audio_seconds + 1.0;
         let codes = (seconds * order.engine.manifest().codes_per_second()) as usize;
-        let prepare = move || Ok(StoredOrder::prepare(&options, format, &audio, &model, codes));
+        let prepare = move || Ok(StoredOrder::prepare(&options, format, hash, &model, codes));
         crate::server::blocking::blocking(&state.metrics, "order", prepare).await?
     };
     if let Some(key) = &order.job.idempotency_key
@@ -130,10 +129,10 @@ async fn accept(
         return Ok((same(known, &prepared)?, true));
     }
     jobs.make_room(&owner).await?;
-    let id = Uuid::new_v4();
+    let id = song.id();
     let result = known_result(jobs, &prepared, id).await;
     // The song of a dance that is there already is not kept.
-    let song = if result.is_some() { 0 } else { order.audio.len() };
+    let song = result.is_none().then_some(song);
     let job = NewJob {
         id,
         request_id,
@@ -142,12 +141,12 @@ async fn accept(
         model: model.to_owned(),
         content_key: prepared.content_key.clone(),
         idempotency_key: order.job.idempotency_key.clone(),
-        order_bytes: i64::try_from(song).unwrap_or(i64::MAX),
+        order_bytes: i64::try_from(song.as_ref().map_or(0, SongWriter::bytes)).unwrap_or(i64::MAX),
         result,
         callback_url: order.job.callback_url.clone(),
         ..NewJob::new(&owner, &to_text(&prepared.order)?)
     };
-    match keep(jobs, job, order.audio.clone(), order.upload.take()).await? {
+    match keep(jobs, job, song).await? {
         Inserted::Known(known) => Ok((same(*known, &prepared)?, true)),
         Inserted::New => {
             let gone = || ServerError::NoJob { id: id.to_string() };
@@ -157,24 +156,26 @@ async fn accept(
 }
 
 /// Keeps a job and its song, in a task of its own: where its client hangs up meanwhile, what was
-/// written is deleted, and `held` has the memory of the song as long as it is written.
+/// written is deleted.
 async fn keep(
     jobs: &Arc<Jobs>,
     job: NewJob,
-    audio: Bytes,
-    held: Option<UploadReservation>,
+    song: Option<SongWriter>,
 ) -> Result<Inserted, ServerError> {
     let jobs = Arc::clone(jobs);
     let (answer, kept) = oneshot::channel();
     tokio::spawn(async move {
         let folder = Jobs::folder(job.id);
+        let written = match song {
+            Some(song) => song.keep().await,
+            None => Ok(()),
+        };
         // A row without its song would be a job that cannot be done.
-        let kept = match write_song(&jobs, &job, audio).await {
+        let kept = match written {
             Ok(()) if answer.is_closed() => Ok(None),
             Ok(()) => jobs.table.insert(job).await.map(Some),
             Err(error) => Err(error),
         };
-        drop(held);
         let is_kept = matches!(kept, Ok(Some(Inserted::New)));
         // The answer comes before the clean-up, which can take long where the store does not
         // answer. A client that has left does not undo its order.
@@ -188,22 +189,6 @@ async fn keep(
         Ok(kept) => kept?.ok_or_else(|| ServerError::Internal("an order was given up".to_owned())),
         Err(_) => Err(ServerError::Internal("an order was not kept".to_owned())),
     }
-}
-
-async fn write_song(jobs: &Jobs, job: &NewJob, audio: Bytes) -> Result<(), JobsError> {
-    if job.result.is_some() {
-        return Ok(());
-    }
-    let mut writer = jobs.files.write(&Jobs::song(job.id));
-    let mut rest = audio;
-    while !rest.is_empty() {
-        let piece = rest.split_to(PIECE.min(rest.len()));
-        if let Err(error) = writer.push(piece).await {
-            writer.abort().await;
-            return Err(error);
-        }
-    }
-    writer.finish().await.map(drop)
 }
 
 /// A copy of the result of the same order, where there is one.
