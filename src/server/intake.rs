@@ -93,7 +93,7 @@ pub(crate) async fn receive(
         let mut place = state.resources.uploads.begin(client)?;
         let body = body.timed(limits);
         let orders = purpose == Purpose::Job;
-        let writer = || SongWriter::new(&state.jobs, place.bytes(), Arc::clone(&state.metrics));
+        let writer = || SongWriter::new(&state.jobs, Arc::clone(&state.metrics));
         let song = orders.then(writer);
         let asked = upload::Asked { options, job: orders.then_some(job), song };
         let upload = upload::receive(parts, body, media, asked, limits, &mut place)

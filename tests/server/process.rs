@@ -296,7 +296,7 @@ fn killed_jobs_are_done_by_the_next_process() {
         wait_until_ready(port);
         (server, port)
     };
-    let song = wav16(1, 22_050, &clicks(60.0, 22_050, 0.1, Some(0.5)));
+    let song = wav16(1, 22_050, &clicks(20.0, 22_050, 0.1, Some(0.5)));
     let mut order = format!(
         "POST /jobs HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
         song.len()

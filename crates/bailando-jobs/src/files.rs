@@ -243,7 +243,8 @@ pub(crate) fn missing(error: object_store::Error, name: &str) -> JobsError {
     }
 }
 
-/// A file that is being written. Dropped before it is finished, it is not there.
+/// A file that is being written: at most [`PARTS_AT_ONCE`] parts and one more are in memory. Dropped
+/// before it is finished, it is not there.
 #[derive(Debug)]
 pub struct FileWriter {
     /// Until it is finished.
@@ -252,9 +253,6 @@ pub struct FileWriter {
 }
 
 impl FileWriter {
-    /// Most bytes that are held of a file while it is written in pieces; the rest is in the store.
-    pub const MOST_HELD: usize = (PARTS_AT_ONCE + 1) * PART;
-
     /// Adds a piece; waits where the store is slower than its writer.
     ///
     /// # Errors

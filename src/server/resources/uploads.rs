@@ -98,13 +98,6 @@ impl HeldBytes {
             false => Err(held.retry_after()),
         }
     }
-
-    /// Gives so many of them back.
-    pub(crate) fn give_back(&self, bytes: u64) {
-        let mut held = self.lock();
-        let kept = (held.units() as u64).saturating_sub(bytes);
-        held.shrink_to(kept);
-    }
 }
 
 #[cfg(test)]

@@ -25,6 +25,7 @@ use crate::server::{
     },
     layers::{client::Client, envelope::request_id},
     options::RequestOptions,
+    resources::UploadReservation,
     response::documented::NewJobErrors,
     state::SharedState,
     upload::body::IncomingBody,
@@ -146,7 +147,7 @@ async fn accept(
         callback_url: order.job.callback_url.clone(),
         ..NewJob::new(&owner, &to_text(&prepared.order)?)
     };
-    match keep(jobs, job, song).await? {
+    match keep(jobs, job, song, order.upload.take()).await? {
         Inserted::Known(known) => Ok((same(*known, &prepared)?, true)),
         Inserted::New => {
             let gone = || ServerError::NoJob { id: id.to_string() };
@@ -156,11 +157,12 @@ async fn accept(
 }
 
 /// Keeps a job and its song, in a task of its own: where its client hangs up meanwhile, what was
-/// written is deleted.
+/// written is deleted, and `held` has its bytes as long as it is written.
 async fn keep(
     jobs: &Arc<Jobs>,
     job: NewJob,
     song: Option<SongWriter>,
+    held: Option<UploadReservation>,
 ) -> Result<Inserted, ServerError> {
     let jobs = Arc::clone(jobs);
     let (answer, kept) = oneshot::channel();
@@ -176,6 +178,7 @@ async fn keep(
             Ok(()) => jobs.table.insert(job).await.map(Some),
             Err(error) => Err(error),
         };
+        drop(held);
         let is_kept = matches!(kept, Ok(Some(Inserted::New)));
         // The answer comes before the clean-up, which can take long where the store does not
         // answer. A client that has left does not undo its order.
