@@ -150,7 +150,7 @@ def fill(fleet, verdict, state, count):
         "INSERT INTO jobs (id, owner, request_id, state, priority, created_at, run_after, "
         "finished_at, starts, faults, codes_done, codes_total, model, content_key, order_json, "
         "order_bytes, result_bytes, callback_tries) "
-        f"SELECT gen_random_uuid(), {owner}, 'filled', '{state}', -100, t, t, {finished}, 0, 0, 0, 0, "
+        f"SELECT gen_random_uuid(), {owner}, 'filled', '{state}', -100, t, 0, {finished}, 0, 0, 0, 0, "
         f"{model}, n, repeat('o', 300), 300, 0, 0 FROM generate_series(1, {count}) n, "
         "(SELECT (extract(epoch FROM now()) * 1000)::bigint t) now"
     )

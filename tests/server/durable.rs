@@ -220,20 +220,23 @@ async fn server_of_worker(fake: &Arc<Fake>, folder: &Path) -> Server {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_fault_of_the_service_is_tried_again_and_one_of_the_song_is_not() {
-    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
-    let limits = Limits { job_attempts: NonZeroUsize::new(2).unwrap(), ..small_limits() };
-    let storage = in_folder(folder.path()).await;
-    let server = with_limits(&fake, storage, Role::All, limits).await;
-    let path = order(&server, "", PANIC).await;
-    let failed = until(&server, &path, "failed").await;
-    assert_eq!(
-        (&failed["starts"], &failed["error"]["error_type"]),
-        (&2.into(), &"internal".into())
-    );
-    server.expect(get(&format!("{path}/result")), 500).await;
-    let metrics = server.expect(get("/metrics"), 200).await;
-    assert!(metrics.contains("bailando_job_retries_total 1"), "{metrics}");
-    stop(server).await;
+    for (attempts, starts) in [(2, 9), (9, 2)] {
+        let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+        let [job_attempts, job_starts] = [attempts, starts].map(|n| NonZeroUsize::new(n).unwrap());
+        let limits = Limits { job_attempts, job_starts, ..small_limits() };
+        let storage = in_folder(folder.path()).await;
+        let server = with_limits(&fake, storage, Role::All, limits).await;
+        let path = order(&server, "", PANIC).await;
+        let failed = until(&server, &path, "failed").await;
+        assert_eq!(
+            (&failed["starts"], &failed["error"]["error_type"]),
+            (&2.into(), &"internal".into())
+        );
+        server.expect(get(&format!("{path}/result")), 500).await;
+        let metrics = server.expect(get("/metrics"), 200).await;
+        assert!(metrics.contains("bailando_job_retries_total 1"), "{metrics}");
+        stop(server).await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

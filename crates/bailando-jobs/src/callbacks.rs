@@ -4,14 +4,16 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::{JobRecord, JobTable, JobsError, kind::Kind, leases::after, record::now};
+use super::{
+    JobRecord, JobTable, JobsError, claims::named, kind::Kind, leases::after, record::now,
+};
 
 macro_rules! due {
     ($lock:literal) => {
         concat!(
             "UPDATE jobs SET callback_after = $1, callback_tries = callback_tries + 1 WHERE id = (\
              SELECT id FROM jobs WHERE callback_after <= $2 \
-             AND $3 NOT LIKE '%|' || owner || '|%' ORDER BY callback_after LIMIT 1",
+             AND REPLACE($3, '|' || owner || '|', '') = $3 ORDER BY callback_after LIMIT 1",
             $lock,
             ") RETURNING *"
         )
@@ -33,8 +35,8 @@ impl JobTable {
             Kind::Sqlite => due!(""),
             Kind::Postgres => due!(" FOR UPDATE SKIP LOCKED"),
         };
-        let (now, full) = (now(), format!("|{}|", full.join("|")));
-        let due = sqlx::query(statement).bind(after(now, lease)).bind(now).bind(full);
+        let now = now();
+        let due = sqlx::query(statement).bind(after(now, lease)).bind(now).bind(named(full));
         self.record(due).await
     }
 

@@ -113,9 +113,7 @@ impl Database {
         }
         let pool = pool.after_connect(move |connection, _| {
             Box::pin(async move {
-                if sqlite {
-                    connection.execute(PRAGMAS).await?;
-                }
+                connection.execute(if sqlite { PRAGMAS } else { SETTINGS }).await?;
                 Ok(())
             })
         });
@@ -132,6 +130,11 @@ impl Database {
 /// survives a loss of power.
 const PRAGMAS: &str =
     "PRAGMA busy_timeout = 5000; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;";
+
+/// What is looked for is found by an index, whatever PostgreSQL believes of a table that was empty
+/// when it was analysed; and to plan or compile a statement anew takes longer than to run it.
+const SETTINGS: &str = "SET enable_seqscan = off; SET jit = off; \
+     SET plan_cache_mode = force_generic_plan;";
 
 /// A path as part of a URL.
 fn percent_encoded(path: &Path) -> String {

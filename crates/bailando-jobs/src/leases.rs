@@ -1,31 +1,17 @@
-//! Jobs as workers see them: taken on a lease, renewed, finished, given back.
+//! Jobs as workers see them: on a lease, renewed, finished, put back.
 
 use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::{JobRecord, JobTable, JobsError, Millis, kind::Kind, record::now};
+use super::{JobRecord, JobTable, JobsError, Millis, record::now};
 
 /// The right to work on a job until the lease ends.
 #[derive(Clone, Debug)]
 pub struct Lease {
     /// The job.
     pub job: JobRecord,
-    token: String,
-}
-
-/// What a worker takes.
-#[derive(Clone, Debug)]
-pub struct Claim<'a> {
-    /// SHA-256 of the worker's model: jobs that were ordered from another one are left to workers
-    /// that have it, as long as there are any.
-    pub model: &'a str,
-    /// How long the job is the worker's without a renewal.
-    pub lease: Duration,
-    /// A job that has begun so often is not begun again: its worker did not survive it.
-    pub most_starts: i64,
-    /// Owners that have their share of this worker.
-    pub full: &'a [String],
+    pub(crate) token: String,
 }
 
 /// How far a job is.
@@ -39,69 +25,22 @@ pub struct Reached {
     pub codes_total: i64,
 }
 
-/// The order in which jobs are taken: first those of the owner with the fewest jobs in work, so
-/// that a high priority does not hold up other owners; then by priority; then by age. A job that
-/// has never failed is taken at once, even if the clock was ahead when it was ordered.
-macro_rules! claim {
-    ($lock:literal) => {
-        concat!(
-            "UPDATE jobs SET state = 'running', starts = starts + 1, lease = $1, lease_until = $2, \
-             started_at = $3, codes_done = 0, codes_total = 0, stage = NULL WHERE id = (\
-             SELECT j.id FROM jobs j LEFT JOIN (SELECT owner, COUNT(*) AS jobs FROM jobs \
-             WHERE state = 'running' GROUP BY owner) busy ON busy.owner = j.owner \
-             WHERE ((j.state = 'queued' AND (j.run_after <= $3 OR j.faults = 0) \
-             AND (j.expires_at IS NULL OR j.expires_at > $3)) \
-             OR (j.state = 'running' AND j.lease_until < $3)) AND j.starts < $4 \
-             AND $5 NOT LIKE '%|' || j.owner || '|%' \
-             AND (j.model = $6 OR NOT EXISTS (SELECT 1 FROM workers w \
-             WHERE w.model = j.model AND w.seen_at >= $7)) \
-             ORDER BY COALESCE(busy.jobs, 0), j.priority DESC, j.created_at, j.id LIMIT 1",
-            $lock,
-            ") RETURNING *"
-        )
-    };
+/// Why a worker puts a job back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PutBack {
+    /// After a fault of the service: it begins again after a time.
+    Retry(Duration),
+    /// It could not be worked on, which is no start, and may be after a time.
+    Postpone(Duration),
+    /// Its worker stops: it is as if it had not begun, and may begin at once.
+    Release,
 }
 
+/// Longest time for which a job is put back. One that is to wait for longer was put back before the
+/// clock was set back.
+pub const LONGEST_WAIT: Duration = Duration::from_secs(60);
+
 impl JobTable {
-    /// Takes the next job, if there is one: a queued one, or one whose lease has ended.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`]; [`JobsError::Record`] for a row that cannot be read, which is then
-    /// a failed job.
-    pub async fn claim(&self, claim: &Claim<'_>) -> Result<Option<Lease>, JobsError> {
-        let statement = match self.database.kind {
-            Kind::Sqlite => claim!(""),
-            Kind::Postgres => claim!(" FOR UPDATE OF j SKIP LOCKED"),
-        };
-        let (now, token) = (now(), Uuid::new_v4().to_string());
-        let full = format!("|{}|", claim.full.join("|"));
-        let taken = sqlx::query(statement)
-            .bind(token.clone())
-            .bind(after(now, claim.lease))
-            .bind(now)
-            .bind(claim.most_starts)
-            .bind(full)
-            .bind(claim.model.to_owned())
-            .bind(now.saturating_sub(after(0, claim.lease)));
-        match self.record(taken).await {
-            Ok(job) => Ok(job.map(|job| Lease { job, token })),
-            Err(error) => {
-                if !matches!(error, JobsError::Database(sqlx::Error::PoolTimedOut)) {
-                    self.bury(&token).await?;
-                }
-                Err(error)
-            }
-        }
-    }
-
-    /// Fails the job whose row was taken with this token and could not be read.
-    async fn bury(&self, token: &str) -> Result<(), JobsError> {
-        const CHANGE: &str = "UPDATE jobs SET state = 'failed', finished_at = $1, lease = NULL, \
-             error_json = NULL WHERE lease = $2";
-        let change = sqlx::query(CHANGE).bind(now()).bind(token.to_owned());
-        self.change(change).await.map(drop)
-    }
-
     /// Renews a lease, and says how far the job is. False if the job is no longer the worker's: it
     /// was deleted, or the lease had ended and another worker took it.
     ///
@@ -172,69 +111,28 @@ impl JobTable {
         self.change(change).await
     }
 
-    /// Puts a job back after a fault of the service, to begin again after a time.
+    /// Puts a job back, for [`LONGEST_WAIT`] at most. False if it is no longer the worker's.
     ///
     /// # Errors
     /// [`JobsError::Database`].
-    pub async fn retry(&self, lease: &Lease, wait: Duration) -> Result<bool, JobsError> {
-        const CHANGE: &str = "UPDATE jobs SET state = 'queued', faults = faults + 1, \
-             run_after = $1, lease = NULL, lease_until = NULL, stage = NULL \
-             WHERE id = $2 AND lease = $3";
+    pub async fn put_back(&self, lease: &Lease, why: PutBack) -> Result<bool, JobsError> {
+        const CHANGE: &str = "UPDATE jobs SET state = 'queued', faults = faults + $1, \
+             starts = starts - $2, run_after = $3, lease = NULL, lease_until = NULL, stage = NULL, \
+             started_at = CASE WHEN $2 = 0 THEN started_at ELSE NULL END \
+             WHERE id = $4 AND lease = $5";
+        let at = |wait: Duration| after(now(), wait.min(LONGEST_WAIT));
+        let (faults, starts, run_after): (i64, i64, Millis) = match why {
+            PutBack::Retry(wait) => (1, 0, at(wait)),
+            PutBack::Postpone(wait) => (1, 1, at(wait)),
+            PutBack::Release => (0, 1, 0),
+        };
         let change = sqlx::query(CHANGE)
-            .bind(after(now(), wait))
+            .bind(faults)
+            .bind(starts)
+            .bind(run_after)
             .bind(lease.job.id.to_string())
             .bind(lease.token.clone());
         self.change(change).await
-    }
-
-    /// Puts a job back that could not be worked on, to be taken after a time: that is no start.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn postpone(&self, lease: &Lease, wait: Duration) -> Result<bool, JobsError> {
-        const CHANGE: &str = "UPDATE jobs SET state = 'queued', faults = faults + 1, \
-             starts = starts - 1, run_after = $1, lease = NULL, lease_until = NULL, \
-             stage = NULL, started_at = NULL WHERE id = $2 AND lease = $3";
-        let change = sqlx::query(CHANGE)
-            .bind(after(now(), wait))
-            .bind(lease.job.id.to_string())
-            .bind(lease.token.clone());
-        self.change(change).await
-    }
-
-    /// Gives a job back as if it had not begun: its worker stops.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn release(&self, lease: &Lease) -> Result<bool, JobsError> {
-        const CHANGE: &str = "UPDATE jobs SET state = 'queued', starts = starts - 1, lease = NULL, \
-             lease_until = NULL, stage = NULL, started_at = NULL WHERE id = $1 AND lease = $2";
-        let change = sqlx::query(CHANGE).bind(lease.job.id.to_string()).bind(lease.token.clone());
-        self.change(change).await
-    }
-
-    /// Fails the jobs that nobody will begin: those that expired in the queue, and those that
-    /// began `most_starts` times and whose last worker is gone.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn fail_hopeless(
-        &self,
-        most_starts: i64,
-        expired: String,
-        abandoned: String,
-    ) -> Result<(), JobsError> {
-        const EXPIRE: &str = "UPDATE jobs SET state = 'failed', error_json = $1, finished_at = $2, \
-             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
-             WHERE state = 'queued' AND expires_at <= $2";
-        const ABANDON: &str = "UPDATE jobs SET state = 'failed', error_json = $1, \
-             finished_at = $2, lease = NULL, lease_until = NULL, stage = NULL, \
-             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
-             WHERE state = 'running' AND lease_until < $2 AND starts >= $3";
-        let now = now();
-        self.change(sqlx::query(EXPIRE).bind(expired).bind(now)).await?;
-        self.change(sqlx::query(ABANDON).bind(abandoned).bind(now).bind(most_starts)).await?;
-        Ok(())
     }
 
     /// Says that a worker with this model lives, and forgets those that have not said so for long.

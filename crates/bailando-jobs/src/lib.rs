@@ -28,20 +28,25 @@
 //! ```
 
 mod callbacks;
+mod claims;
 mod database;
 mod error;
 mod files;
 mod kind;
 mod leases;
 mod record;
+mod room;
 mod schema;
+mod sweeps;
 mod table;
 #[cfg(test)]
 mod tests;
 
+pub use claims::Claim;
 pub use error::JobsError;
 pub use files::{FileWriter, Files};
-pub use leases::{Claim, Lease, Reached};
+pub use leases::{LONGEST_WAIT, Lease, PutBack, Reached};
 pub use record::{JobRecord, Millis, NewJob, State, now};
+pub use room::Kept;
 pub use schema::SCHEMA;
-pub use table::{Inserted, JobTable, Kept, Listing};
+pub use table::{Inserted, JobTable, Listing};

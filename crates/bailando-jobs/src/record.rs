@@ -124,7 +124,7 @@ pub struct JobRecord {
     pub priority: i64,
     /// When it was ordered.
     pub created_at: Millis,
-    /// When it may begin.
+    /// When it may begin again; 0 if it may at once.
     pub run_after: Millis,
     /// As in [`NewJob`].
     pub expires_at: Option<Millis>,

@@ -1,8 +1,8 @@
-//! Jobs as callers see them: kept, found, listed, counted, deleted.
+//! Jobs as callers see them: kept, found, listed, deleted.
 
 use std::path::Path;
 
-use sqlx::{Any, Row, any::AnyRow, query::Query};
+use sqlx::{Any, any::AnyRow, query::Query};
 use uuid::Uuid;
 
 use super::{
@@ -13,19 +13,6 @@ use super::{
 #[derive(Debug)]
 pub struct JobTable {
     pub(crate) database: Database,
-}
-
-/// How many jobs are kept, and of whom.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Kept {
-    /// Jobs in all.
-    pub jobs: i64,
-    /// Jobs of the owner that was asked about.
-    pub own: i64,
-    /// Bytes of all orders, songs and results.
-    pub bytes: i64,
-    /// Bytes of those of the owner that was asked about.
-    pub own_bytes: i64,
 }
 
 /// What [`JobTable::insert`] did.
@@ -62,6 +49,29 @@ macro_rules! brief {
          CAST('' AS TEXT) AS result_json, result_bytes, error_json, callback_url, callback_tries"
     };
 }
+
+/// Lists an owner's jobs; each of the two has an index that gives them in their order.
+macro_rules! list {
+    ($state:literal) => {
+        concat!(
+            "SELECT ",
+            brief!(),
+            " FROM jobs WHERE owner = $1",
+            $state,
+            " AND (created_at, id) < ($2, $3) AND (finished_at IS NULL OR finished_at >= $4) \
+             ORDER BY created_at DESC, id DESC LIMIT $5"
+        )
+    };
+}
+
+pub(crate) const LIST: &str = list!("");
+/// The second condition says nothing new, but that the index of states is the shorter one.
+pub(crate) const LIST_STATE: &str =
+    list!(" AND state = $6 AND (state, created_at, id) < ($6, $2, $3)");
+
+/// The last job with a result of this content.
+pub(crate) const FIND_RESULT: &str = "SELECT * FROM jobs WHERE content_key = $1 \
+     AND state = 'done' AND finished_at >= $2 ORDER BY finished_at DESC LIMIT 1";
 
 type Statement = Query<'static, Any, sqlx::any::AnyArguments>;
 
@@ -131,7 +141,7 @@ impl JobTable {
              created_at, run_after, expires_at, finished_at, starts, faults, codes_done, \
              codes_total, model, content_key, idempotency_key, order_json, order_bytes, \
              result_json, result_bytes, callback_url, callback_after) \
-             VALUES ($1, $2, $3, $4, $5, $6, $6, $7, $8, 0, 0, 0, 0, $9, $10, $11, $12, $13, $14, \
+             VALUES ($1, $2, $3, $4, $5, $6, 0, $7, $8, 0, 0, 0, 0, $9, $10, $11, $12, $13, $14, \
              $15, $16, $17) ON CONFLICT (owner, idempotency_key) DO NOTHING";
         let (now, done) = (now(), job.result.is_some());
         let text = i64::try_from(job.order.len()).unwrap_or(i64::MAX);
@@ -208,9 +218,7 @@ impl JobTable {
         content_key: &str,
         finished_since: Millis,
     ) -> Result<Option<JobRecord>, JobsError> {
-        let find = "SELECT * FROM jobs WHERE content_key = $1 AND state = 'done' \
-             AND finished_at >= $2 ORDER BY finished_at DESC LIMIT 1";
-        let find = sqlx::query(find).bind(content_key.to_owned()).bind(finished_since);
+        let find = sqlx::query(FIND_RESULT).bind(content_key.to_owned()).bind(finished_since);
         self.record(find).await
     }
 
@@ -220,25 +228,20 @@ impl JobTable {
     /// # Errors
     /// [`JobsError::Database`].
     pub async fn list(&self, listing: Listing) -> Result<Vec<JobRecord>, JobsError> {
-        const LIST: &str = concat!(
-            "SELECT ",
-            brief!(),
-            " FROM jobs WHERE owner = $1 AND (state = $2 OR $2 = '') \
-             AND (created_at < $3 OR (created_at = $3 AND id < $4)) \
-             AND (finished_at IS NULL OR finished_at >= $5) \
-             ORDER BY created_at DESC, id DESC LIMIT $6"
-        );
         let (before, id) = match listing.before {
             Some((before, id)) => (before, id.to_string()),
             None => (Millis::MAX, String::new()),
         };
-        let list = sqlx::query(LIST)
+        let list = sqlx::query(if listing.state.is_some() { LIST_STATE } else { LIST })
             .bind(listing.owner)
-            .bind(listing.state.map_or("", State::name))
             .bind(before)
             .bind(id)
             .bind(listing.finished_since)
             .bind(i64::from(listing.most));
+        let list = match listing.state {
+            Some(state) => list.bind(state.name()),
+            None => list,
+        };
         let readable = |row: &AnyRow| match JobRecord::read(row) {
             Ok(record) => Some(record),
             Err(error) => {
@@ -247,65 +250,6 @@ impl JobTable {
             }
         };
         Ok(self.rows(list).await?.iter().filter_map(readable).collect())
-    }
-
-    /// Counts the jobs in each state.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn count(&self) -> Result<Vec<(State, i64)>, JobsError> {
-        let count = "SELECT state, COUNT(*) FROM jobs GROUP BY state";
-        let mut counts = State::ALL.map(|state| (state, 0)).to_vec();
-        for row in self.rows(sqlx::query(count)).await? {
-            let (name, jobs): (String, i64) = (row.try_get(0)?, row.try_get(1)?);
-            let known = counts.iter_mut().find(|(state, _)| state.name() == name);
-            known.into_iter().for_each(|(_, count)| *count = jobs);
-        }
-        Ok(counts)
-    }
-
-    /// Counts what is kept, and what of it is `owner`'s.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn kept(&self, owner: &str) -> Result<Kept, JobsError> {
-        const COUNT: &str = "SELECT COUNT(*), \
-             CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN 1 ELSE 0 END), 0) AS BIGINT), \
-             CAST(COALESCE(SUM(order_bytes + result_bytes), 0) AS BIGINT), \
-             CAST(COALESCE(SUM(CASE WHEN owner = $1 THEN order_bytes + result_bytes \
-             ELSE 0 END), 0) AS BIGINT) FROM jobs";
-        let Some(row) = self.row(sqlx::query(COUNT).bind(owner.to_owned())).await? else {
-            return Ok(Kept::default());
-        };
-        Ok(Kept {
-            jobs: row.try_get(0)?,
-            own: row.try_get(1)?,
-            bytes: row.try_get(2)?,
-            own_bytes: row.try_get(3)?,
-        })
-    }
-
-    /// The finished job that is missed least: its result was fetched longest ago. Of `owner` only,
-    /// where one is named.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn oldest_fetched(&self, owner: Option<&str>) -> Result<Option<Uuid>, JobsError> {
-        const FIND: &str = "SELECT id FROM jobs WHERE fetched_at IS NOT NULL \
-             AND (owner = $1 OR $1 = '') ORDER BY fetched_at LIMIT 1";
-        let find = sqlx::query(FIND).bind(owner.unwrap_or_default().to_owned());
-        Ok(self.row(find).await?.as_ref().and_then(id_of))
-    }
-
-    /// When the result that has been kept for longest was finished; of `owner` only, where one is
-    /// named.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn oldest_finished(&self, owner: Option<&str>) -> Result<Option<Millis>, JobsError> {
-        const FIND: &str = "SELECT MIN(finished_at) FROM jobs WHERE (owner = $1 OR $1 = '')";
-        let find = sqlx::query(FIND).bind(owner.unwrap_or_default().to_owned());
-        self.row(find).await?.map_or(Ok(None), |row| Ok(row.try_get(0)?))
     }
 
     /// Notes that a job's result was sent completely.
@@ -328,16 +272,6 @@ impl JobTable {
         self.change(sqlx::query("DELETE FROM jobs WHERE id = $1").bind(id.to_string())).await
     }
 
-    /// Ids of jobs that finished before a time, some of them.
-    ///
-    /// # Errors
-    /// [`JobsError::Database`].
-    pub async fn finished_before(&self, time: Millis) -> Result<Vec<Uuid>, JobsError> {
-        let find = "SELECT id FROM jobs WHERE finished_at < $1 LIMIT 1000";
-        let rows = self.rows(sqlx::query(find).bind(time)).await?;
-        Ok(rows.iter().filter_map(id_of).collect())
-    }
-
     /// Whether there is such a job.
     ///
     /// # Errors
@@ -346,8 +280,4 @@ impl JobTable {
         let find = sqlx::query("SELECT 1 FROM jobs WHERE id = $1").bind(id.to_string());
         Ok(self.row(find).await?.is_some())
     }
-}
-
-fn id_of(row: &AnyRow) -> Option<Uuid> {
-    Uuid::try_parse(&row.try_get::<String, _>(0).ok()?).ok()
 }

@@ -1,5 +1,5 @@
-//! Order among jobs: what nobody will begin fails, what has expired goes, and so do files that
-//! belong to no job.
+//! Order among jobs: what nobody will begin fails, what has waited stands in line again, what has
+//! expired goes, and so do files that belong to no job.
 
 use std::{collections::HashSet, time::Duration};
 
@@ -58,6 +58,7 @@ async fn once(state: &SharedState) -> Result<(), ServerError> {
     let most = i64::try_from(starts).unwrap_or(i64::MAX);
     let table = &state.jobs.table;
     table.fail_hopeless(most, expired, abandoned).await?;
+    table.line_up(state.limits.job_lease.0).await?;
     state.jobs.expire().await
 }
 

@@ -3,7 +3,7 @@
 use std::{panic::AssertUnwindSafe, sync::Arc, time::Duration};
 
 use axum::http::StatusCode;
-use bailando_jobs::{Claim, JobsError, Lease};
+use bailando_jobs::{Claim, JobsError, LONGEST_WAIT, Lease, PutBack};
 use futures_util::FutureExt;
 use tokio::time::{Instant, sleep, timeout};
 use tokio_util::sync::CancellationToken;
@@ -35,7 +35,6 @@ use crate::{
 const LOOK_AGAIN: Duration = Duration::from_millis(500);
 /// Wait before a job is tried again after a first fault; it doubles with each.
 const BACKOFF: Duration = Duration::from_secs(1);
-const LONGEST_BACKOFF: Duration = Duration::from_secs(60);
 
 /// Works on jobs until the process stops. `share` is how many jobs of one owner are in work here
 /// at most.
@@ -118,7 +117,7 @@ async fn run(state: &SharedState, lease: Lease) {
         () = lease::until_lost(state, &lease, &tracker) => {}
         () = state.lifecycle.aborted() => {
             // Another process begins it at once, or this one's next life.
-            drop(state.jobs.table.release(&lease).await);
+            drop(state.jobs.table.put_back(&lease, PutBack::Release).await);
         }
     }
 }
@@ -182,17 +181,17 @@ async fn settle(
     made: Result<Kept, ServerError>,
 ) {
     let table = &state.jobs.table;
+    let ended = match made {
+        Ok(kept) => Ok(kept),
+        Err(error) => Err((Remedy::of(&error, lease, state), error)),
+    };
     loop {
-        let settled = match &made {
+        let settled = match &ended {
             Ok(Kept { text, bytes }) => {
                 table.done(lease, text.clone(), *bytes, &lease::reached(tracker)).await
             }
-            Err(error) => match Remedy::of(error, lease, state) {
-                Remedy::Release => table.release(lease).await,
-                Remedy::Postpone(wait) => table.postpone(lease, wait).await,
-                Remedy::Retry(wait) => table.retry(lease, wait).await,
-                Remedy::Fail => fail(state, lease, error).await,
-            },
+            Err((Remedy::PutBack(why), _)) => table.put_back(lease, *why).await,
+            Err((Remedy::Fail, error)) => fail(state, lease, error).await,
         };
         match settled {
             Ok(_) => break,
@@ -200,23 +199,17 @@ async fn settle(
         }
         sleep(LOOK_AGAIN).await;
     }
-    match &made {
+    match &ended {
         // It is deleted with the job at the latest.
-        Ok(_) => drop(state.jobs.files.delete(&Jobs::song(lease.job.id)).await),
-        Err(error)
-            if matches!(
-                Remedy::of(error, lease, state),
-                Remedy::Retry(_) | Remedy::Postpone(_)
-            ) =>
-        {
+        Ok(_) | Err((Remedy::Fail, _)) => {
+            drop(state.jobs.files.delete(&Jobs::song(lease.job.id)).await);
+        }
+        // A model that has stopped stops the process soon; nothing is to be taken meanwhile.
+        Err((Remedy::PutBack(PutBack::Release), _)) => sleep(BACKOFF).await,
+        Err((Remedy::PutBack(_), error)) => {
             tracing::warn!(%error, "a job is put back after a fault");
             state.metrics.job_retries.inc();
         }
-        // A model that has stopped stops the process soon; nothing is to be taken meanwhile.
-        Err(error) if matches!(Remedy::of(error, lease, state), Remedy::Release) => {
-            sleep(BACKOFF).await;
-        }
-        Err(_) => drop(state.jobs.files.delete(&Jobs::song(lease.job.id)).await),
     }
 }
 
@@ -230,12 +223,8 @@ async fn fail(state: &SharedState, lease: &Lease, error: &ServerError) -> Result
 
 /// What is done about a job that could not be made.
 enum Remedy {
-    /// The process is at its end: the job has not begun.
-    Release,
-    /// Its files cannot be had now, which says nothing about the job.
-    Postpone(Duration),
-    /// The service was at fault, and may not be the next time.
-    Retry(Duration),
+    /// The process is at its end, or the service was at fault and may not be the next time.
+    PutBack(PutBack),
     /// The song, an option or the time is at fault, or the service too often.
     Fail,
 }
@@ -246,7 +235,7 @@ impl Remedy {
             error,
             ServerError::ModelStopped | ServerError::Draining { .. } | ServerError::Loading { .. }
         ) {
-            return Self::Release;
+            return Self::PutBack(PutBack::Release);
         }
         let passes = match error.status() {
             StatusCode::INTERNAL_SERVER_ERROR | StatusCode::TOO_MANY_REQUESTS => true,
@@ -255,15 +244,18 @@ impl Remedy {
         };
         let faults = usize::try_from(lease.job.faults).unwrap_or(usize::MAX);
         let doublings = u32::try_from(faults).unwrap_or(u32::MAX).min(16);
-        let wait = (BACKOFF * 2_u32.pow(doublings)).min(LONGEST_BACKOFF);
+        let wait = (BACKOFF * 2_u32.pow(doublings)).min(LONGEST_WAIT);
         // As long as a result would be kept.
         let young = lease.job.created_at >= state.jobs.finished_since();
         if matches!(error, ServerError::JobStore { .. }) && young {
-            return Self::Postpone(wait);
+            return Self::PutBack(PutBack::Postpone(wait));
         }
-        if !passes || faults.saturating_add(1) >= state.limits.job_attempts.get() {
-            return Self::Fail;
+        let starts = usize::try_from(lease.job.starts).unwrap_or(usize::MAX);
+        let too_often = faults.saturating_add(1) >= state.limits.job_attempts.get()
+            || starts >= state.limits.job_starts.get();
+        match passes && !too_often {
+            true => Self::PutBack(PutBack::Retry(wait)),
+            false => Self::Fail,
         }
-        Self::Retry(wait)
     }
 }

@@ -3,51 +3,10 @@ use std::{collections::HashSet, sync::Arc, time::Duration};
 use bailando_testkit::postgres::Postgres;
 use uuid::Uuid;
 
+use super::{LONG, SHORT, claim, find, insert, job, reached, take, with_each};
 use crate::{
-    Claim, Inserted, JobRecord, JobTable, JobsError, Kept, Lease, Listing, NewJob, Reached, State,
-    now,
+    Claim, Inserted, JobRecord, JobTable, JobsError, Kept, Listing, NewJob, PutBack, State, now,
 };
-
-const LONG: Duration = Duration::from_secs(60);
-const SHORT: Duration = Duration::from_millis(30);
-
-/// Runs a test with a table in memory, in a file, and in PostgreSQL where that is installed.
-fn with_each(test: impl AsyncFn(Arc<JobTable>)) {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
-    runtime.block_on(test(Arc::new(JobTable::in_memory())));
-    let folder = tempfile::tempdir().unwrap();
-    let file = JobTable::in_file(&folder.path().join("jobs.sqlite"));
-    runtime.block_on(test(Arc::new(file)));
-    if let Some(postgres) = Postgres::start() {
-        runtime.block_on(test(Arc::new(JobTable::at_url(&postgres.url()).unwrap())));
-    }
-}
-
-fn claim(lease: Duration) -> Claim<'static> {
-    Claim { model: "model", lease, most_starts: 3, full: &[] }
-}
-
-fn job(owner: &str) -> NewJob {
-    NewJob { model: "model".to_owned(), ..NewJob::new(owner, "{}") }
-}
-
-async fn insert(jobs: &JobTable, job: NewJob) -> Uuid {
-    let id = job.id;
-    assert_eq!(jobs.insert(job).await.unwrap(), Inserted::New);
-    id
-}
-
-async fn find(jobs: &JobTable, id: Uuid) -> JobRecord {
-    jobs.find(id).await.unwrap().unwrap()
-}
-
-async fn take(jobs: &JobTable) -> Option<Lease> {
-    jobs.claim(&claim(LONG)).await.unwrap()
-}
-
-fn reached(done: i64) -> Reached {
-    Reached { stage: "inference".to_owned(), codes_done: done, codes_total: 9 }
-}
 
 #[test]
 fn a_job_is_kept_worked_on_and_done() {
@@ -93,9 +52,9 @@ fn another_worker_takes_a_job_whose_lease_has_ended_and_the_first_changes_nothin
         assert!(!jobs.renew(&first, LONG, &reached(1)).await.unwrap());
         assert!(!jobs.done(&first, "first".to_owned(), 0, &reached(9)).await.unwrap());
         assert!(!jobs.fail(&first, "first".to_owned()).await.unwrap());
-        assert!(!jobs.retry(&first, SHORT).await.unwrap());
-        assert!(!jobs.postpone(&first, SHORT).await.unwrap());
-        assert!(!jobs.release(&first).await.unwrap());
+        for why in [PutBack::Retry(SHORT), PutBack::Postpone(SHORT), PutBack::Release] {
+            assert!(!jobs.put_back(&first, why).await.unwrap());
+        }
         assert!(jobs.done(&second, "second".to_owned(), 0, &reached(9)).await.unwrap());
         assert_eq!(find(&jobs, id).await.result.as_deref(), Some("second"));
     });
@@ -120,13 +79,14 @@ fn a_job_that_no_worker_survives_fails_at_last() {
 #[test]
 fn a_job_expires_in_the_queue_but_not_once_it_has_begun() {
     with_each(async |jobs| {
-        let soon = Some(now() + 150);
+        jobs.open().await.unwrap();
+        let soon = Some(now() + 1000);
         let begun = insert(&jobs, NewJob { expires_at: soon, ..job("me") }).await;
         let lease = take(&jobs).await.unwrap();
         assert_eq!(lease.job.id, begun);
         let late = insert(&jobs, NewJob { expires_at: Some(now() - 1), ..job("me") }).await;
         assert!(take(&jobs).await.is_none());
-        tokio::time::sleep(Duration::from_millis(200)).await;
+        tokio::time::sleep(Duration::from_millis(1100)).await;
         jobs.fail_hopeless(3, "expired".to_owned(), "abandoned".to_owned()).await.unwrap();
         assert_eq!(find(&jobs, late).await.error.as_deref(), Some("expired"));
         assert!(jobs.done(&lease, String::new(), 0, &reached(9)).await.unwrap());
@@ -138,7 +98,7 @@ fn a_job_expires_in_the_queue_but_not_once_it_has_begun() {
 fn a_job_that_was_ordered_later_than_now_does_not_wait() {
     with_each(async |jobs| {
         let id = insert(&jobs, job("me")).await;
-        let ahead = sqlx::query("UPDATE jobs SET created_at = $1, run_after = $1 WHERE id = $2");
+        let ahead = sqlx::query("UPDATE jobs SET created_at = $1 WHERE id = $2");
         let ahead = ahead.bind(now() + 3_600_000).bind(id.to_string());
         assert!(jobs.change(ahead).await.unwrap());
         assert_eq!(take(&jobs).await.unwrap().job.id, id);
@@ -150,16 +110,17 @@ fn a_retry_waits_and_what_could_not_begin_is_no_start() {
     with_each(async |jobs| {
         let id = insert(&jobs, job("me")).await;
         let lease = take(&jobs).await.unwrap();
-        assert!(jobs.retry(&lease, Duration::from_millis(300)).await.unwrap());
+        let wait = Duration::from_millis(300);
+        assert!(jobs.put_back(&lease, PutBack::Retry(wait)).await.unwrap());
         assert!(take(&jobs).await.is_none());
         tokio::time::sleep(Duration::from_millis(400)).await;
         let lease = take(&jobs).await.unwrap();
         assert_eq!((lease.job.starts, lease.job.faults), (2, 1));
-        assert!(jobs.release(&lease).await.unwrap());
+        assert!(jobs.put_back(&lease, PutBack::Release).await.unwrap());
         let released = find(&jobs, id).await;
         assert_eq!((released.state, released.starts), (State::Queued, 1));
         let lease = take(&jobs).await.unwrap();
-        assert!(jobs.postpone(&lease, Duration::from_millis(300)).await.unwrap());
+        assert!(jobs.put_back(&lease, PutBack::Postpone(wait)).await.unwrap());
         assert!(take(&jobs).await.is_none());
         let postponed = find(&jobs, id).await;
         let waits = (postponed.state, postponed.starts, postponed.faults, postponed.started_at);

@@ -4,7 +4,8 @@ use bailando_testkit::postgres::Postgres;
 use sqlx::{Connection, Executor};
 
 use crate::{
-    Inserted, JobTable, JobsError, NewJob, SCHEMA, State, database::Database, schema::first_steps,
+    Inserted, JobTable, JobsError, Kept, NewJob, SCHEMA, State, database::Database, kind::Kind,
+    schema::first_steps,
 };
 
 /// As the first release of these tables left them, with a job.
@@ -12,13 +13,22 @@ const OLD_JOB: &str = "INSERT INTO jobs VALUES ('67e55044-10b1-426f-9247-bb680e5
     'queued', 1, 2, 3, NULL, NULL, NULL, NULL, 0, 0, NULL, NULL, NULL, 0, 0, 'm', 'c', NULL, '{}', \
     5, NULL, 0, NULL)";
 
+/// Put back by the release before this one, for now, and to be taken at once.
+const LATER_JOBS: &str = "INSERT INTO jobs VALUES \
+    ('67e55044-10b1-426f-9247-bb680e5fe0c9', 'me', 'r', 'queued', 9, 2, 3, NULL, NULL, NULL, NULL, \
+    1, 1, NULL, NULL, NULL, 0, 0, 'm', 'c', NULL, '{}', 6, NULL, 0, NULL), \
+    ('67e55044-10b1-426f-9247-bb680e5fe0ca', 'you', 'r', 'done', 9, 2, 3, NULL, 2, 4, NULL, \
+    1, 0, NULL, NULL, NULL, 0, 0, 'm', 'c', NULL, '{}', 7, '{}', 70, NULL)";
+
 async fn older(url: &str) {
     sqlx::any::install_default_drivers();
     let pool = sqlx::Pool::<sqlx::Any>::connect(url).await.unwrap();
-    for statement in first_steps(1) {
+    let kind = if url.starts_with("sqlite") { Kind::Sqlite } else { Kind::Postgres };
+    for statement in first_steps(kind, 1) {
         sqlx::query(statement).execute(&pool).await.unwrap();
     }
     sqlx::query(OLD_JOB).execute(&pool).await.unwrap();
+    sqlx::query(LATER_JOBS).execute(&pool).await.unwrap();
     sqlx::query("CREATE TABLE job_schema (version BIGINT NOT NULL)").execute(&pool).await.unwrap();
     sqlx::query("INSERT INTO job_schema VALUES (1)").execute(&pool).await.unwrap();
     pool.close().await;
@@ -41,6 +51,13 @@ async fn brought_up_to_date(url: &str) {
     let url = Some("https://example.org".to_owned());
     let new = NewJob { callback_url: url, ..NewJob::new("me", "{}") };
     assert_eq!(tables[1].insert(new).await.unwrap(), Inserted::New);
+    let kept = tables[2].kept("me").await.unwrap();
+    assert_eq!(kept, Kept { jobs: 4, own: 3, bytes: 5 + 6 + 77 + 2, own_bytes: 5 + 6 + 2 });
+    let mut taken = Vec::new();
+    while let Some(lease) = tables[3].claim(&super::claim(super::LONG)).await.unwrap() {
+        taken.push(lease.job.priority);
+    }
+    assert_eq!(taken, [9, 1, 0]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
