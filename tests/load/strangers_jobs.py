@@ -23,7 +23,7 @@ from pathlib import Path
 from beside import finished, order, padded, run, settled, statuses, together
 from client import HOST, ask, connect, form, hang_up, head
 from guard import GREEDY, HONEST, Http2, key, request
-from harness import scratch
+from harness import MIB, scratch
 from songs import long_wav, mp3
 
 
@@ -108,15 +108,31 @@ def full_disk(server):
     return f"{seen}; deleted {set(deleted)}, then {again.status}"
 
 
+def long_songs(server):
+    """Three orders of 95 MB at once, as many as one client may send: they go to the disk."""
+    song = long_wav(1_077)
+    order(server, "duration_s=1", mp3(5))
+    server.forget_peak()
+    before = server.rss()
+    threads, replies = together(3, lambda _: order(server, "duration_s=1", song))
+    settled(threads, 60)
+    rise = (server.peak_rss() - before) / MIB
+    seen = [getattr(reply, "status", reply) for reply in replies]
+    assert seen == [202] * 3, seen
+    # One of them may be at work before the last has arrived.
+    assert rise < 160, f"memory rose by {rise:.0f} MiB"
+    return f"{seen.count(202)} accepted, memory rose by {rise:.0f} MiB"
+
+
 def read_only(server):
-    """A disk that lets nothing be written for a while, as after a fault of the disk."""
+    """A store that lets nothing be written for a while."""
     done = [json.loads(order(server, "duration_s=1", mp3(5)).body)["id"]]
     finished(server, *done)
     result = f"/jobs/{done[0]}/result"
     before = server.get(result, [key(GREEDY)]).body
 
     def mode(name):
-        subprocess.run(["mount", "-o", f"remount,{name}", server.data], check=True)
+        subprocess.run(["mount", "-o", f"remount,{name}", f"{server.data}/store"], check=True)
 
     mode("ro")
     try:
@@ -310,16 +326,19 @@ def prepare(attack):
     name = attack.__name__
     folder = scratch() / name
     folder.mkdir()
-    if name in ("full_disk", "read_only"):
-        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=24m", "none", folder], check=True)
-        atexit.register(subprocess.run, ["umount", "-l", folder])
+    disk = {"full_disk": folder, "read_only": folder / "store"}.get(name)
+    if disk:
+        disk.mkdir(exist_ok=True)
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=24m", "none", disk], check=True)
+        atexit.register(subprocess.run, ["umount", "-l", disk])
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     few = 1024 if name == "few_files" else most
     resource.setrlimit(resource.RLIMIT_NOFILE, (few, most))
-    return FLAGS.get(name, []), {"BAILANDO_DATA_DIR": str(folder)}
+    flags = ["--storage", f"file://{disk}"] if name == "read_only" else FLAGS.get(name, [])
+    return flags, {"BAILANDO_DATA_DIR": str(folder)}
 
 
 if __name__ == "__main__":
     attacks = [job_bytes, job_list, events, hung_orders, damaged, callbacks, ranges, guesses]
     as_root = [full_disk, read_only] if os.geteuid() == 0 else []
-    run(18, __doc__, [*attacks, coded, result_streams, few_files, *as_root], prepare)
+    run(18, __doc__, [*attacks, long_songs, coded, result_streams, few_files, *as_root], prepare)
