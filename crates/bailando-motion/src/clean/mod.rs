@@ -3,6 +3,7 @@
 //! Every stage works on local rotations and the root, so that every format carries the same motion,
 //! and looks ahead a bounded number of frames, so that a stream can be cleaned as well.
 
+mod avoid;
 mod capsule;
 mod contact;
 pub(crate) mod feet;
@@ -12,6 +13,7 @@ mod hinge;
 mod jitter;
 pub(crate) mod limb;
 mod limbs;
+mod pole;
 pub(crate) mod pose;
 
 use crate::{
@@ -22,15 +24,21 @@ use crate::{
 use feet::FeetPlanter;
 use jitter::JitterFilter;
 use limbs::LimbCleaner;
+use pole::PoleDetour;
 
 /// Cleans one motion that stands on the floor, piece by piece: jitter, the seam with a motion
-/// before it, head, hinges and limits of elbows and knees, hands outside of the body, and last the
-/// feet, which everything else moves.
+/// before it, head, hinges and limits of elbows and knees, arms outside of the body and past the
+/// poles of their angles, and last the feet, which everything else moves. Arms and feet do not ask
+/// for each other, and look ahead side by side.
 #[derive(Clone, Debug)]
 pub(crate) struct Cleaner {
     jitter: JitterFilter,
     seam: Option<SeamBlend>,
-    limbs: LimbCleaner,
+    arms: LimbCleaner,
+    poles: PoleDetour,
+    /// Frames with clean arms, until their feet are.
+    waiting: Animation,
+    legs: LimbCleaner,
     feet: FeetPlanter,
 }
 
@@ -42,7 +50,10 @@ impl Cleaner {
         Self {
             jitter: JitterFilter::new(fps),
             seam,
-            limbs: LimbCleaner::new(skeleton, fps, continues),
+            arms: LimbCleaner::of_arms(skeleton, fps, continues),
+            poles: PoleDetour::new(skeleton, fps, continues),
+            waiting: Animation::empty(fps),
+            legs: LimbCleaner::of_legs(skeleton, fps, continues),
             feet: FeetPlanter::new(skeleton, fps, continues),
         }
     }
@@ -53,7 +64,7 @@ impl Cleaner {
         if let Some(seam) = &mut self.seam {
             smooth = seam.push(smooth);
         }
-        self.feet.push(self.limbs.push(smooth))
+        self.push_smooth(smooth)
     }
 
     /// Returns the rest.
@@ -63,10 +74,32 @@ impl Cleaner {
             smooth = seam.push(smooth);
             smooth.push_frames(seam.end());
         }
-        let mut limbs = self.limbs.push(smooth);
-        limbs.push_frames(self.limbs.end());
-        let mut feet = self.feet.push(limbs);
+        let mut done = self.push_smooth(smooth);
+        let mut arms = self.poles.push(self.arms.end());
+        arms.push_frames(self.poles.end());
+        self.waiting.push_frames(arms);
+        let mut feet = self.feet.push(self.legs.end());
         feet.push_frames(self.feet.end());
+        done.push_frames(self.joined(feet));
+        done
+    }
+
+    fn push_smooth(&mut self, smooth: Animation) -> Animation {
+        let arms = self.poles.push(self.arms.push(smooth.clone()));
+        self.waiting.push_frames(arms);
+        let feet = self.feet.push(self.legs.push(smooth));
+        self.joined(feet)
+    }
+
+    /// Gives frames whose feet are clean their clean arms: these look ahead less far.
+    fn joined(&mut self, mut feet: Animation) -> Animation {
+        let arms = self.waiting.take_frames(feet.root.len());
+        let joints = self.arms.joints();
+        for (pose, arms) in feet.rotations.iter_mut().zip(&arms.rotations) {
+            for &joint in &joints {
+                pose[joint] = arms[joint];
+            }
+        }
         feet
     }
 }
