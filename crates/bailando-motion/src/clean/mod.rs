@@ -36,10 +36,10 @@ pub(crate) struct Cleaner {
     seam: Option<SeamBlend>,
     arms: LimbCleaner,
     poles: PoleDetour,
-    /// Frames with clean arms, until their feet are.
-    waiting: Animation,
     legs: LimbCleaner,
     feet: FeetPlanter,
+    /// Frames with clean arms and frames with clean feet, until they have both.
+    waiting: [Animation; 2],
 }
 
 impl Cleaner {
@@ -52,9 +52,9 @@ impl Cleaner {
             seam,
             arms: LimbCleaner::of_arms(skeleton, fps, continues),
             poles: PoleDetour::new(skeleton, fps, continues),
-            waiting: Animation::empty(fps),
             legs: LimbCleaner::of_legs(skeleton, fps, continues),
             feet: FeetPlanter::new(skeleton, fps, continues),
+            waiting: [Animation::empty(fps), Animation::empty(fps)],
         }
     }
 
@@ -77,29 +77,66 @@ impl Cleaner {
         let mut done = self.push_smooth(smooth);
         let mut arms = self.poles.push(self.arms.end());
         arms.push_frames(self.poles.end());
-        self.waiting.push_frames(arms);
         let mut feet = self.feet.push(self.legs.end());
         feet.push_frames(self.feet.end());
-        done.push_frames(self.joined(feet));
+        done.push_frames(self.join([arms, feet]));
         done
     }
 
     fn push_smooth(&mut self, smooth: Animation) -> Animation {
         let arms = self.poles.push(self.arms.push(smooth.clone()));
-        self.waiting.push_frames(arms);
         let feet = self.feet.push(self.legs.push(smooth));
-        self.joined(feet)
+        self.join([arms, feet])
     }
 
-    /// Gives frames whose feet are clean their clean arms: these look ahead less far.
-    fn joined(&mut self, mut feet: Animation) -> Animation {
-        let arms = self.waiting.take_frames(feet.root.len());
+    /// Takes the next frames with clean arms and with clean feet; returns those that have both.
+    fn join(&mut self, next: [Animation; 2]) -> Animation {
+        for (waiting, next) in self.waiting.iter_mut().zip(next) {
+            waiting.push_frames(next);
+        }
+        let [arms, feet] = &mut self.waiting;
+        let count = arms.root.len().min(feet.root.len());
+        let (arms, mut done) = (arms.take_frames(count), feet.take_frames(count));
         let joints = self.arms.joints();
-        for (pose, arms) in feet.rotations.iter_mut().zip(&arms.rotations) {
+        for (pose, arms) in done.rotations.iter_mut().zip(&arms.rotations) {
             for &joint in &joints {
                 pose[joint] = arms[joint];
             }
         }
-        feet
+        done
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{Quat, Vec3};
+
+    use super::*;
+
+    #[test]
+    fn pieces_make_the_whole_at_every_frame_rate() {
+        let swing = |fps: u32| {
+            let angle = |frame: usize| (3.0 * frame as f32 / fps as f32).sin();
+            let pose = |frame| vec![Quat::from_rotation_x(0.3 * angle(frame)); 24];
+            let root = (0..300).map(|frame| Vec3::new(angle(frame), 0.9, 0.0)).collect();
+            Animation { fps, root, rotations: (0..300).map(pose).collect() }
+        };
+        for fps in [10, 20, 24, 30, 60, 120] {
+            let cleaned = |piece: usize| {
+                let mut cleaner = Cleaner::new(&Skeleton::fixture(), fps, None);
+                let (mut rest, mut done) = (swing(fps), Animation::empty(fps));
+                while !rest.root.is_empty() {
+                    let count = piece.min(rest.root.len());
+                    done.push_frames(cleaner.push(rest.take_frames(count)));
+                }
+                done.push_frames(cleaner.end());
+                done
+            };
+            let whole = cleaned(300);
+            assert_eq!(whole.root.len(), 300);
+            for piece in [1, 37] {
+                assert_eq!(cleaned(piece), whole, "{fps} fps in pieces of {piece}");
+            }
+        }
     }
 }
