@@ -269,9 +269,6 @@ mod tests {
             let [was, is] = [&before, &after].map(|motion| forward(&skeleton, motion).unwrap());
             let moved = was.iter().zip(&is).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(moved < 1e-5, "{moved} m");
-            let turned = before.rotations.iter().zip(&after.rotations);
-            let most = turned.map(|(a, b)| a[16].angle_between(b[16])).fold(0.0, f32::max);
-            assert!(most.to_degrees() < 25.0, "{} degrees", most.to_degrees());
         }
     }
 
