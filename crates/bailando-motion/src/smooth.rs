@@ -28,6 +28,26 @@ pub(crate) fn smooth_upper_bound_at(values: &[f64], half_width: usize, index: us
     sum / weight
 }
 
+/// Returns the sample `index` of a curve without jumps that follows the longest of `values` near
+/// each sample: like [`smooth_upper_bound_at`], of vectors. Where their direction changes it is
+/// shorter than they are.
+pub(crate) fn smooth_largest_at(values: &[DVec3], half_width: usize, index: usize) -> DVec3 {
+    let near = |index: usize, reach: usize| {
+        index.saturating_sub(reach)..values.len().min(index + reach + 1)
+    };
+    if values[near(index, 2 * half_width)].iter().all(|&value| value == DVec3::ZERO) {
+        return DVec3::ZERO;
+    }
+    let longer = |a: DVec3, b: &DVec3| if b.length_squared() > a.length_squared() { *b } else { a };
+    let (mut sum, mut weights) = (DVec3::ZERO, 0.0);
+    for other in near(index, half_width) {
+        let weight = (half_width + 1 - other.abs_diff(index)) as f64;
+        sum += values[near(other, half_width)].iter().fold(DVec3::ZERO, longer) * weight;
+        weights += weight;
+    }
+    sum / weights
+}
+
 /// Returns the cubic from one value and rate a frame to another in `length` frames, at frame `at`.
 pub(crate) fn hermite(from: (DVec3, DVec3), to: (DVec3, DVec3), at: f64, length: f64) -> DVec3 {
     let t = at / length;
@@ -61,6 +81,21 @@ mod tests {
         }
         assert_eq!(curve[100], 0.0);
         assert!(curve[60] < 0.05 + 1e-12);
+    }
+
+    #[test]
+    fn vectors_are_followed_without_jumps_where_they_turn_round() {
+        let mut values = vec![DVec3::ZERO; 100];
+        values[40..50].fill(DVec3::X * 0.1);
+        values[50..60].fill(DVec3::X * -0.1);
+        let curve: Vec<DVec3> = (0..100).map(|at| smooth_largest_at(&values, 6, at)).collect();
+        assert_eq!((curve[20], curve[90]), (DVec3::ZERO, DVec3::ZERO));
+        assert!(curve[44].distance(values[44]) < 1e-12 && curve[58].x < -0.05);
+        for three in curve.windows(3) {
+            // Two steps, by 0.2 and by 0.1, under a triangle seven wide on either side.
+            let bend = (three[2] - 2.0 * three[1] + three[0]).length();
+            assert!(bend < 0.3 / 7.0_f64.powi(2) + 1e-9, "{bend}");
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Capsules that hands stay out of: head and torso.
+//! Capsules that arms stay out of: head, torso and hips.
 
 use glam::DVec3;
 
@@ -11,6 +11,8 @@ const HEAD: f64 = 0.115;
 const SKULL: f64 = 0.10;
 /// Radius of the torso, metres: half of its depth. Hands rest on hips and belly.
 const TORSO: f64 = 0.10;
+/// Half of the width of the hips between their rounded sides, and these sides' radius, metres.
+const HIPS: (f64, f64) = (0.05, 0.105);
 
 /// A line with a thickness.
 #[derive(Clone, Copy, Debug)]
@@ -30,12 +32,21 @@ impl Capsule {
         away.try_normalize().unwrap_or_else(|| line.any_orthogonal_vector().normalize_or_zero())
             * depth
     }
+
+    /// Returns the direction from the capsule's line to a line through `point` along `direction`,
+    /// shorter the more the two are parallel.
+    pub(super) fn side_of(&self, point: DVec3, direction: DVec3) -> DVec3 {
+        let [start, end] = self.ends;
+        let across = (end - start).normalize_or_zero().cross(direction);
+        if (point - start).dot(across) < 0.0 { -across } else { across }
+    }
 }
 
 /// The joints that carry the capsules.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Body {
     head: usize,
+    hips: usize,
     belly: usize,
     chest: usize,
 }
@@ -43,15 +54,27 @@ pub(super) struct Body {
 impl Body {
     pub(super) fn of(skeleton: &Skeleton) -> Option<Self> {
         let joint = |name: &str| skeleton.joints.iter().position(|joint| joint == name);
-        Some(Self { head: joint("head")?, belly: joint("spine1")?, chest: joint("neck")? })
+        let (head, hips) = (joint("head")?, joint("pelvis")?);
+        Some(Self { head, hips, belly: joint("spine1")?, chest: joint("neck")? })
+    }
+
+    /// Returns the joints that carry the capsules.
+    pub(super) fn joints(self) -> [usize; 4] {
+        [self.head, self.hips, self.belly, self.chest]
     }
 
     /// Returns the capsules of a pose.
-    pub(super) fn capsules(self, pose: &WorldPose) -> [Capsule; 2] {
+    pub(super) fn capsules(self, pose: &WorldPose) -> [Capsule; 3] {
         let head = pose.place(self.head);
         let skull = head + pose.turn(self.head) * (DVec3::Y * SKULL);
         let torso = [pose.place(self.belly), pose.place(self.chest)];
-        [Capsule { ends: [head, skull], radius: HEAD }, Capsule { ends: torso, radius: TORSO }]
+        let (half_width, radius) = HIPS;
+        let (hips, side) = (pose.place(self.hips), pose.turn(self.hips) * (DVec3::X * half_width));
+        [
+            Capsule { ends: [head, skull], radius: HEAD },
+            Capsule { ends: torso, radius: TORSO },
+            Capsule { ends: [hips - side, hips + side], radius },
+        ]
     }
 }
 

@@ -67,9 +67,10 @@ impl FeetPlanter {
                 targets: Vec::new(),
             })
         };
+        let feet = skeleton.foot_joints();
         Self {
-            pose: WorldPose::new(skeleton),
-            legs: skeleton.foot_joints().into_iter().filter_map(leg).collect(),
+            pose: WorldPose::new(skeleton).only(&feet),
+            legs: feet.into_iter().filter_map(leg).collect(),
             half_width: (LOWERING * f64::from(fps)).ceil() as usize,
             lookahead: Contacts::new(&BALL, fps, continues).lookahead(),
             continues,

@@ -20,6 +20,9 @@ const MOST_BENT: f64 = 1.134;
 /// A foot that slants by up to the first of these (sine) keeps the heights of both ends, and from
 /// the second on its direction.
 const UPRIGHT: (f64, f64) = (0.7, 0.9);
+/// Cosine of the slope up to which a foot is not rolled, and from which on it is flat: about a line
+/// that is upright, nothing lifts an edge.
+const STEEP: (f64, f64) = (0.2, 0.45);
 /// Heights below this are pressed together above the floor, metres.
 const SOFT: f64 = 0.01;
 
@@ -84,8 +87,10 @@ impl Foot {
             return turn;
         }
         let phase = up.atan2(across);
-        let angle = (wanted / across.hypot(up)).clamp(-1.0, 1.0).acos().copysign(phase);
-        (DQuat::from_axis_angle(line, phase - angle) * turn).normalize()
+        let slope = across.hypot(up);
+        let angle = (wanted / slope).clamp(-1.0, 1.0).acos().copysign(phase);
+        let share = smooth_step((slope - STEEP.0) / (STEEP.1 - STEEP.0));
+        (DQuat::from_axis_angle(line, (phase - angle) * share) * turn).normalize()
     }
 
     /// Returns the unit vector from heel to ball that points where `line` points on the floor and
@@ -211,6 +216,24 @@ mod tests {
                     last = Some(turn);
                 }
                 assert!(last.unwrap().angle_between(rolled) < 0.1);
+            }
+        }
+    }
+
+    #[test]
+    fn a_foot_that_rises_upright_on_its_ball_does_not_spin() {
+        let foot = Foot::of(&Skeleton::fixture(), 10).unwrap();
+        let ball = DVec3::Y * f64::from(STANDING_HEIGHT);
+        for roll in [-0.3, 0.05, 0.3] {
+            let mut last = None;
+            for step in 0..200 {
+                let rise = DQuat::from_axis_angle(foot.across, 0.6 + 0.005 * f64::from(step));
+                let turn = DQuat::from_rotation_y(0.4) * rise * DQuat::from_rotation_z(roll);
+                let line = (turn * foot.ball).normalize();
+                let turn = foot.levelled(turn, line, foot.clearance(ball, turn));
+                let turned = last.map_or(0.0, |last: DQuat| last.angle_between(turn));
+                assert!(turned < 0.04, "rolled by {roll}, step {step}: {turned}");
+                last = Some(turn);
             }
         }
     }

@@ -20,6 +20,11 @@ impl Head {
         Some(Self { neck: skeleton.parent(head)?, head })
     }
 
+    /// Returns the joint that it turns.
+    pub(super) fn joint(self) -> usize {
+        self.head
+    }
+
     /// Turns the head back by the share of the neck's turn that it does not follow.
     pub(super) fn level(self, rotations: &mut [Quat]) {
         let neck = rotations[self.neck];

@@ -1,25 +1,30 @@
-//! Arms and legs: hinges that keep their axis, joints within their limits, hands outside the body.
+//! Arms and legs: hinges that keep their axis, joints within their limits, arms outside the body.
 
 use std::f64::consts::PI;
 
 use glam::{DVec3, Quat};
 
-use super::{capsule::Body, head::Head, hinge::HingeTracker, limb::Limb, pose::WorldPose};
+use super::{
+    avoid::Avoidance, capsule::Body, head::Head, hinge::HingeTracker, limb::Limb, pose::WorldPose,
+};
 use crate::{
     animation::{Animation, FrameQueue},
     skeleton::Skeleton,
-    smooth::{smooth_step, smooth_upper_bound_at},
+    smooth::smooth_step,
 };
 
 /// Elbows and knees bend freely up to the first of these and never beyond the second, radians.
 const BEND: (f64, f64) = (130.0 / 180.0 * PI, 148.0 / 180.0 * PI);
 /// Furthest turn of a knee's hinge from the front of the hip: a leg turned out.
 const TURNED_OUT: f64 = 80.0 / 180.0 * PI;
-/// Seconds over which a hand that must leave the body begins to move away before, and comes back
-/// after.
-const LEAVING: f64 = 0.1;
+/// Seconds on either side of a frame over which the line to the wrist of a folded arm is averaged:
+/// a wrist at the shoulder has no direction of its own.
+const FOLDED: f64 = 0.15;
+/// Points of a forearm that stay outside of the body, shares of the way from elbow to wrist. The
+/// wrist moves one nearer to the elbow hardly at all.
+const FOREARM: [f64; 2] = [0.75, 0.5];
 
-/// Cleans the limbs of one motion.
+/// Cleans the arms and the head, or the legs, of one motion.
 #[derive(Clone, Debug)]
 pub(super) struct LimbCleaner {
     pose: WorldPose,
@@ -39,45 +44,76 @@ pub(super) struct LimbCleaner {
 struct Arm {
     limb: Limb,
     hinge: HingeTracker,
-    half_width: usize,
-    continues: bool,
-    /// The way out of the body, in every frame so far, metres.
-    ways_out: Vec<DVec3>,
-    depths: Vec<f64>,
+    avoidance: Avoidance,
+    /// From the shoulder to the wrist in every frame so far, metres.
+    lines: Vec<DVec3>,
+    averaged: usize,
 }
 
 impl LimbCleaner {
-    pub(super) fn new(skeleton: &Skeleton, fps: u32, continues: bool) -> Self {
+    /// Cleans arms and head.
+    pub(super) fn of_arms(skeleton: &Skeleton, fps: u32, continues: bool) -> Self {
         let named = |name: &str| skeleton.joints.iter().position(|joint| joint == name);
-        let half_width = (LEAVING * f64::from(fps)).ceil() as usize;
         let arm = |hand| {
             Some(Arm {
                 limb: Limb::above(skeleton, hand, DVec3::Z)?,
                 hinge: HingeTracker::new(fps, PI, continues),
-                half_width,
-                continues,
-                ways_out: Vec::new(),
-                depths: Vec::new(),
+                avoidance: Avoidance::new(fps, continues),
+                lines: Vec::new(),
+                averaged: (FOLDED * f64::from(fps)).round() as usize,
             })
         };
+        let arms = ["l_hand", "r_hand"].into_iter().filter_map(named).filter_map(arm);
+        let body = Body::of(skeleton);
+        Self {
+            head: Head::of(skeleton),
+            body,
+            arms: arms.collect(),
+            lookahead: Avoidance::new(fps, continues).lookahead(),
+            ..Self::of_none(skeleton, fps, continues)
+        }
+        .posed()
+    }
+
+    /// Cleans legs.
+    pub(super) fn of_legs(skeleton: &Skeleton, fps: u32, continues: bool) -> Self {
         let leg = |foot| {
             let limb = Limb::above(skeleton, foot, DVec3::NEG_Z)?;
             Some((limb, HingeTracker::new(fps, TURNED_OUT, continues)))
         };
-        let hands = ["l_hand", "r_hand"].into_iter().filter_map(named);
-        let arms: Vec<Arm> = hands.filter_map(arm).collect();
-        let hinge = HingeTracker::new(fps, PI, continues);
+        let legs = skeleton.foot_joints().into_iter().filter_map(leg).collect();
+        Self { legs, ..Self::of_none(skeleton, fps, continues) }.posed()
+    }
+
+    fn of_none(skeleton: &Skeleton, fps: u32, continues: bool) -> Self {
         Self {
             pose: WorldPose::new(skeleton),
-            head: Head::of(skeleton),
-            body: Body::of(skeleton),
-            arms,
-            legs: skeleton.foot_joints().into_iter().filter_map(leg).collect(),
-            lookahead: hinge.lookahead().max(2 * half_width),
+            head: None,
+            body: None,
+            arms: Vec::new(),
+            legs: Vec::new(),
+            lookahead: HingeTracker::new(fps, PI, continues).lookahead(),
             frames: Animation::empty(fps),
             done: 0,
             last: Vec::new(),
         }
+    }
+
+    /// Poses no more joints than are looked at.
+    fn posed(mut self) -> Self {
+        let limbs = self.arms.iter().map(|arm| &arm.limb).chain(self.legs.iter().map(|leg| &leg.0));
+        let mut joints: Vec<usize> = limbs.flat_map(|limb| limb.joints).collect();
+        joints.extend(self.body.iter().flat_map(|body| body.joints()));
+        self.pose = self.pose.only(&joints);
+        self
+    }
+
+    /// Returns the joints whose rotations it changes.
+    pub(super) fn joints(&self) -> Vec<usize> {
+        let limbs = self.arms.iter().map(|arm| &arm.limb).chain(self.legs.iter().map(|leg| &leg.0));
+        let joints =
+            limbs.flat_map(|Limb { joints: [upper, lower, end, _], .. }| [*upper, *lower, *end]);
+        joints.chain(self.head.map(Head::joint)).collect()
     }
 
     /// Takes the next frames; returns those that are settled.
@@ -132,45 +168,45 @@ impl LimbCleaner {
 impl Arm {
     fn see(&mut self, pose: &WorldPose, body: Option<Body>) {
         see(&self.limb, &mut self.hinge, pose);
-        let [_, _, wrist, hand] = self.limb.joints;
-        let mut way = DVec3::ZERO;
-        for capsule in body.iter().flat_map(|body| body.capsules(pose)) {
-            // The hand may be out once the wrist is.
-            way += capsule.way_out(pose.place(wrist) + way);
-            way += capsule.way_out(pose.place(hand) + way);
-        }
-        self.ways_out.push(way);
-        self.depths.push(way.length());
+        let capsules = body.map(|body| body.capsules(pose));
+        let [shoulder, elbow, wrist, hand] = self.limb.joints.map(|joint| pose.place(joint));
+        self.lines.push(wrist - shoulder);
+        let forearm = wrist - elbow;
+        let [near, far] = FOREARM.map(|share| (elbow + forearm * share, share));
+        let points = [(wrist, 1.0), (hand, 1.0), near, far];
+        self.avoidance.see(points, forearm.normalize_or_zero(), capsules);
     }
 
     fn clean(&mut self, frame: usize, pose: &WorldPose, rotations: &mut [Quat]) {
         let axis = hinge_axis(&self.limb, &mut self.hinge, frame, pose);
         let [shoulder, _, wrist, _] = self.limb.joints;
-        let wanted = pose.place(wrist) + self.way_out(frame);
-        let line = within_limit(&self.limb, wanted - pose.place(shoulder));
+        let wanted = pose.place(wrist) + self.avoidance.way_out(frame);
+        let line = self.steadied(frame, wanted - pose.place(shoulder));
+        // An arm is hardly stretched further than it was: next to its full length elbows pop.
+        let extension = self.lines[frame].length() / self.limb.distance_at(0.0);
+        let reached = self.limb.bones.reach(line.length(), extension);
+        let line = within_limit(&self.limb, line.normalize_or(DVec3::NEG_Y) * reached);
         let [upper, lower] = self.limb.reach(line, axis);
         let pointing = self.limb.direction(2, pose.turn(wrist));
         let hand = self.limb.pointed(2, lower, pointing);
         self.limb.write(pose, [upper, lower, hand], rotations);
     }
 
-    /// Returns how far the wrist moves in `frame`: all of the way out while the hand is inside, and
-    /// some of it before and after.
-    fn way_out(&self, frame: usize) -> DVec3 {
-        let reach = 2 * self.half_width;
-        let near = frame.saturating_sub(reach)..self.depths.len().min(frame + reach + 1);
-        if self.depths[near.clone()].iter().all(|&depth| depth == 0.0) {
-            return DVec3::ZERO;
+    /// Returns the line from shoulder to wrist in `frame` with its length, and the further the arm
+    /// was folded beyond its limit, with the direction of those around.
+    fn steadied(&self, frame: usize, line: DVec3) -> DVec3 {
+        let shortest = self.limb.distance_at(BEND.1);
+        let share = smooth_step((shortest - self.lines[frame].length()) / (0.6 * shortest));
+        if share == 0.0 {
+            return line;
         }
-        let mut depth = smooth_upper_bound_at(&self.depths, self.half_width, frame);
-        if self.continues {
-            depth *= smooth_step(frame as f64 / self.half_width as f64);
-        }
-        let ways = near.map(|other| {
-            let weight = (reach + 1 - other.abs_diff(frame)) as f64;
-            self.ways_out[other] * weight * weight
-        });
-        ways.sum::<DVec3>().normalize_or_zero() * depth
+        let reach = self.averaged;
+        let near = frame.saturating_sub(reach)..self.lines.len().min(frame + reach + 1);
+        let weighted =
+            near.map(|other| self.lines[other] * (reach + 1 - other.abs_diff(frame)) as f64);
+        let own = line.normalize_or_zero();
+        let around = weighted.sum::<DVec3>().normalize_or(own);
+        own.lerp(around, share).normalize_or(around) * line.length()
     }
 }
 
@@ -209,7 +245,7 @@ mod tests {
     use super::*;
 
     fn cleaned(animation: &Animation) -> Animation {
-        let mut cleaner = LimbCleaner::new(&Skeleton::fixture(), 60, false);
+        let mut cleaner = LimbCleaner::of_arms(&Skeleton::fixture(), 60, false);
         let mut done = cleaner.push(animation.clone());
         done.push_frames(cleaner.end());
         done
@@ -269,5 +305,54 @@ mod tests {
         let after = cleaned(&through);
         let (before, after) = (deepest(&through), deepest(&after));
         assert!(before > 0.015 && after < 0.002, "{before} {after}");
+    }
+
+    /// The left forearm swings across the back, and the wrist passes the spine inside of the torso.
+    fn across_the_back() -> Animation {
+        let mut across = turned(18, |t| Quat::from_rotation_z(-2.0 * t.min(1.0)));
+        for pose in &mut across.rotations {
+            pose[16] = Quat::from_rotation_x(0.1) * Quat::from_rotation_z(-1.5);
+        }
+        across
+    }
+
+    /// Places of the left wrist, and the deepest that a point of the forearm or the hand is inside
+    /// the body, metres.
+    fn forearm(animation: &Animation) -> (Vec<DVec3>, f64) {
+        let skeleton = Skeleton::fixture();
+        let body = Body::of(&skeleton).unwrap();
+        let mut pose = WorldPose::new(&skeleton);
+        let (mut wrists, mut deepest) = (Vec::new(), 0.0_f64);
+        for (&root, rotations) in animation.root.iter().zip(&animation.rotations) {
+            pose.set(root, rotations);
+            let [elbow, wrist, hand] = [18, 20, 22].map(|joint| pose.place(joint));
+            let points = [0.5, 0.75, 1.0].map(|share| elbow.lerp(wrist, share));
+            for capsule in body.capsules(&pose) {
+                let depths = points.iter().chain([&hand]).map(|&p| capsule.way_out(p).length());
+                deepest = depths.fold(deepest, f64::max);
+            }
+            wrists.push(wrist);
+        }
+        (wrists, deepest)
+    }
+
+    #[test]
+    fn a_forearm_that_crosses_the_back_stays_outside_and_on_its_side() {
+        let before = across_the_back();
+        let ((_, inside), (wrists, left)) = (forearm(&before), forearm(&cleaned(&before)));
+        assert!(inside > 0.04 && left < 0.01, "{inside} m to {left} m");
+        let hardest = wrists.windows(3).map(|at| (at[2] - 2.0 * at[1] + at[0]).length());
+        let hardest = hardest.fold(0.0, f64::max);
+        assert!(hardest < 0.01, "{hardest} m a frame squared");
+        assert!(wrists.iter().all(|wrist| wrist.z < 0.0), "it stays behind the back");
+    }
+
+    #[test]
+    fn a_hand_at_the_side_stays_out_of_the_hips() {
+        // The left arm hangs across, and the forearm is at the hip.
+        let into = turned(16, |t| Quat::from_rotation_z(-1.8 * (2.0 * t).min(1.0)));
+        let (_, inside) = forearm(&into);
+        let (_, left) = forearm(&cleaned(&into));
+        assert!(inside > 0.015 && left < 0.005, "{inside} m to {left} m");
     }
 }

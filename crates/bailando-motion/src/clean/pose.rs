@@ -8,6 +8,8 @@ use crate::skeleton::Skeleton;
 #[derive(Clone, Debug)]
 pub(crate) struct WorldPose {
     parents: Vec<Option<usize>>,
+    /// The joints that are posed, parents before their children.
+    posed: Vec<usize>,
     offsets: Vec<DVec3>,
     places: Vec<DVec3>,
     turns: Vec<DQuat>,
@@ -18,10 +20,22 @@ impl WorldPose {
         let joints = 0..skeleton.joints.len();
         Self {
             parents: joints.clone().map(|joint| skeleton.parent(joint)).collect(),
+            posed: joints.clone().collect(),
             offsets: joints.clone().map(|joint| skeleton.offset(joint).as_dvec3()).collect(),
             places: vec![DVec3::ZERO; joints.len()],
             turns: vec![DQuat::IDENTITY; joints.len()],
         }
+    }
+
+    /// Poses these joints alone, and those above them; the others stay where they are.
+    pub(crate) fn only(mut self, joints: &[usize]) -> Self {
+        let mut is_needed = vec![false; self.parents.len()];
+        for &joint in joints {
+            let above = std::iter::successors(Some(joint), |&joint| self.parents[joint]);
+            above.for_each(|joint| is_needed[joint] = true);
+        }
+        self.posed.retain(|&joint| is_needed[joint]);
+        self
     }
 
     /// Number of joints.
@@ -31,8 +45,8 @@ impl WorldPose {
 
     /// Poses the skeleton.
     pub(crate) fn set(&mut self, root: Vec3, rotations: &[Quat]) {
-        for (joint, rotation) in rotations.iter().enumerate() {
-            let local = rotation.as_dquat();
+        for &joint in &self.posed {
+            let local = rotations[joint].as_dquat();
             (self.places[joint], self.turns[joint]) = match self.parents[joint] {
                 None => (root.as_dvec3(), local.normalize()),
                 Some(parent) => {
