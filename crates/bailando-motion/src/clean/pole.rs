@@ -258,7 +258,7 @@ mod tests {
     #[test]
     fn an_arm_passes_its_pole_without_a_jump_and_no_joint_moves() {
         let skeleton = Skeleton::fixture();
-        for (beside, twist) in [(0.02, 0.8), (0.05, 1.5), (-0.04, 0.1), (0.1, 2.0)] {
+        for (beside, twist) in [(0.02, 0.8), (0.05, 1.5)] {
             let before = passing(beside, twist);
             let after = led(&before, 7, false);
             let (jump, left) = (worst(&before), worst(&after));
