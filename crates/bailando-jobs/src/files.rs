@@ -243,7 +243,7 @@ pub(crate) fn missing(error: object_store::Error, name: &str) -> JobsError {
     }
 }
 
-/// A file that is being written: at most [`PARTS_AT_ONCE`] parts and one more are in memory. Dropped
+/// A file that is being written, of which three parts of 5 MiB at most are in memory. Dropped
 /// before it is finished, it is not there.
 #[derive(Debug)]
 pub struct FileWriter {
