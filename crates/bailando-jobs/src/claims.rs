@@ -107,7 +107,7 @@ impl JobTable {
         loop {
             let now = now();
             let Some(id) = self.next(claim, now).await? else { return Ok(None) };
-            // Whoever was faster took it: there is no end of this without an end of the jobs.
+            // Another worker was faster. Each time round one more job was taken, so this ends.
             if let Some(lease) = self.take(id, claim.lease, now).await? {
                 return Ok(Some(lease));
             }

@@ -132,7 +132,7 @@ const PRAGMAS: &str =
     "PRAGMA busy_timeout = 5000; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL;";
 
 /// What is looked for is found by an index, whatever PostgreSQL believes of a table that was empty
-/// when it was analysed; and to plan or compile a statement anew takes longer than to run it.
+/// when it was analysed; and planning or compiling a statement again takes longer than running it.
 const SETTINGS: &str = "SET enable_seqscan = off; SET jit = off; \
      SET plan_cache_mode = force_generic_plan;";
 

@@ -15,6 +15,8 @@ use super::{JobsError, database::without_password};
 
 /// Bytes that are held of a file while it is written; S3 takes parts of 5 MiB at least.
 const PART: usize = 5 * 1024 * 1024;
+/// Bytes of a whole file that are handed to the store at once.
+const PIECE: usize = 1 << 20;
 /// Parts that are on their way at the same time.
 const PARTS_AT_ONCE: usize = 2;
 /// How long a store that does not answer is asked again, well below the time of a request: its
@@ -97,9 +99,12 @@ impl Files {
     ///
     /// # Errors
     /// [`JobsError::Store`].
-    pub async fn put(&self, name: &str, bytes: Bytes) -> Result<u64, JobsError> {
+    pub async fn put(&self, name: &str, mut bytes: Bytes) -> Result<u64, JobsError> {
         let mut writer = self.write(name);
-        writer.push(bytes).await?;
+        // All at once would begin all parts at the same time.
+        while !bytes.is_empty() {
+            writer.push(bytes.split_to(PIECE.min(bytes.len()))).await?;
+        }
         writer.finish().await
     }
 

@@ -19,9 +19,6 @@ use crate::{
     },
 };
 
-/// Bytes that are handed to the store at once.
-const PIECE: usize = 1 << 20;
-
 /// A result as the table has it, and the bytes of its files.
 pub(super) struct Kept {
     pub(super) text: String,
@@ -56,10 +53,6 @@ pub(super) async fn store(
 }
 
 async fn put(jobs: &Jobs, lease: &Lease, kind: &str, bytes: Vec<u8>) -> Result<u64, ServerError> {
-    let mut writer = jobs.files.write(&Jobs::result(lease.job.id, lease.job.starts, kind));
-    let mut rest = Bytes::from(bytes);
-    while !rest.is_empty() {
-        writer.push(rest.split_to(PIECE.min(rest.len()))).await?;
-    }
-    Ok(writer.finish().await?)
+    let name = Jobs::result(lease.job.id, lease.job.starts, kind);
+    Ok(jobs.files.put(&name, Bytes::from(bytes)).await?)
 }

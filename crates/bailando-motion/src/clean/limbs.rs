@@ -99,10 +99,13 @@ impl LimbCleaner {
         }
     }
 
+    fn limbs(&self) -> impl Iterator<Item = &Limb> {
+        self.arms.iter().map(|arm| &arm.limb).chain(self.legs.iter().map(|leg| &leg.0))
+    }
+
     /// Poses no more joints than are looked at.
     fn posed(mut self) -> Self {
-        let limbs = self.arms.iter().map(|arm| &arm.limb).chain(self.legs.iter().map(|leg| &leg.0));
-        let mut joints: Vec<usize> = limbs.flat_map(|limb| limb.joints).collect();
+        let mut joints: Vec<usize> = self.limbs().flat_map(|limb| limb.joints).collect();
         joints.extend(self.body.iter().flat_map(|body| body.joints()));
         self.pose = self.pose.only(&joints);
         self
@@ -110,9 +113,9 @@ impl LimbCleaner {
 
     /// Returns the joints whose rotations it changes.
     pub(super) fn joints(&self) -> Vec<usize> {
-        let limbs = self.arms.iter().map(|arm| &arm.limb).chain(self.legs.iter().map(|leg| &leg.0));
-        let joints =
-            limbs.flat_map(|Limb { joints: [upper, lower, end, _], .. }| [*upper, *lower, *end]);
+        let joints = self
+            .limbs()
+            .flat_map(|Limb { joints: [upper, lower, end, _], .. }| [*upper, *lower, *end]);
         joints.chain(self.head.map(Head::joint)).collect()
     }
 
