@@ -6,7 +6,8 @@
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
 #   OUT    where dances go           (default target/clean)
 # BAILANDO names the binary (default target/release/bailando), SEEDS is the number of dances for
-# every song, decoded and cleaned with the same seed (default 10).
+# every song, decoded and cleaned with the same seed (default 10). SONGS is a folder of other songs,
+# in place of those of the test split.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -18,8 +19,14 @@ seeds=${SEEDS:-10}
 
 rm -rf "$out"
 mkdir -p "$out"
-# Folders of songs named after their pieces, each song once in a folder, for a folder has one seed.
-python3 - "$data" "$out/songs" <<'PY'
+measured=(--split test --beats "$data/test_beats.json")
+if [ -n "${SONGS:-}" ]; then
+    mkdir "$out/songs"
+    ln -s "$(realpath "$SONGS")" "$out/songs/0"
+    measured=(--new-songs "$SONGS")
+else
+    # Folders of songs named after their pieces, each song once in a folder, for a folder has one seed.
+    python3 - "$data" "$out/songs" <<'PY'
 import collections, json, os, sys
 data, songs = sys.argv[1:]
 times = collections.Counter()
@@ -31,6 +38,7 @@ for piece in json.load(open(f"{data}/index.json"))["pieces"]:
         os.makedirs(folder, exist_ok=True)
         os.symlink(audio, f"{folder}/{piece['id']}{os.path.splitext(audio)[1]}")
 PY
+fi
 for ((seed = 1; seed <= seeds; seed++)); do
     for songs in "$out"/songs/*; do
         for clean in true false; do
@@ -42,5 +50,5 @@ done
 for clean in false true; do
     printf '## clean=%s\n\n' $clean
     "$bailando" evaluate --generated "$out/$clean" --seeds "$seeds" --reference "$data" \
-        --split test --beats "$data/test_beats.json" --window 300 --stride 150
+        "${measured[@]}" --window 300 --stride 150
 done

@@ -38,6 +38,12 @@ ALL_DONE = 1800
 def extend(parser):
     parser.add_argument("--jobs", type=int, help=f"[default: {JOBS}, or {QUICK} with --quick]")
     parser.add_argument("--seconds", type=int, help="length of all songs [default: 1 to 3]")
+    parser.add_argument(
+        "--pause",
+        type=float,
+        default=0.7,
+        help="seconds between two orders of a client while something is away [default: 0.7]",
+    )
     parser.add_argument("--kept", type=int, default=0, help="finished jobs that are kept beside")
     parser.add_argument("--queued", type=int, default=0, help="queued jobs of the least priority beside")
     parser.add_argument(
@@ -103,16 +109,27 @@ class Fleet:
             page = f"&before={listed['next']}" if "next" in listed else None
         return {job: found.get(job) for job in self.accepted}
 
+    def open_jobs(self):
+        counted = self.apis[0].metrics()
+        return sum(int(counted.sum("bailando_jobs", state=s)) for s in ("queued", "running"))
+
     def ended(self):
-        """Waits until no job is open; what has become of those accepted."""
+        """Waits until no job is open but those whose songs the store cannot read; what has become
+        of those accepted."""
         until = time.monotonic() + ALL_DONE
-        while True:
-            counted = self.apis[0].metrics()
-            if not any(counted.sum("bailando_jobs", state=s) for s in ("queued", "running")):
-                return self.jobs()
-            if time.monotonic() > until:
-                return self.jobs()
+        while self.open_jobs() and time.monotonic() < until:
+            jobs = self.jobs()
+            waiting = {job for job, now in jobs.items() if now and now["state"] == "queued"}
+            if len(waiting) == self.open_jobs() and waiting == self.unreadable(waiting):
+                break
             time.sleep(0.5)
+        return self.jobs()
+
+    def unreadable(self, jobs):
+        """Those of the jobs whose songs the store lists and cannot read, as it says itself."""
+        if not self.store or len(jobs) > 50:
+            return set()
+        return {job for job in jobs if self.store.status(f"test/jobs/{job}/song") >= 500}
 
     def danced(self):
         return [int(worker.metrics().sum("bailando_dances_total")) for worker in self.workers]
@@ -318,8 +335,8 @@ class Load:
             sent = time.monotonic()
             reply = self.fleet.order(number % 2, song(noise))
             self.answers.append((sent, time.monotonic(), reply))
-            # About as many as are done, and not too many refusals.
-            time.sleep(0.7)
+            # By default about as many as are done, and not too many refusals.
+            time.sleep(self.fleet.options.pause)
 
     def stop(self):
         self.ended.set()
@@ -378,9 +395,21 @@ def judge(fleet, verdict, what, new):
     """Every job that was accepted meanwhile is done; without its song it has failed, and says so."""
     jobs = {job: now for job, now in fleet.ended().items() if job in new}
     failed = {job: now for job, now in jobs.items() if now and now["state"] == "failed"}
-    open_ = [f"job {job}: {now}" for job, now in jobs.items()
-             if not now or now["state"] not in ("done", "failed")]  # fmt: skip
-    verdict.problems(f"{what} back: accepted jobs that have no end", open_)
+    open_ = {job for job, now in jobs.items() if not now or now["state"] not in ("done", "failed")}
+    # They wait for a store that may be repaired, for as long as a result would be kept.
+    unreadable = fleet.unreadable(open_) if what == "bucket" else set()
+    verdict.problems(
+        f"{what} back: accepted jobs that have no end",
+        [f"job {job}: {jobs[job]}" for job in open_ - unreadable],
+    )
+    if unreadable:
+        verdict.note(f"{what}: {len(unreadable)} jobs wait: for their songs the store answers 5xx")
+        port = fleet.apis[1].port
+        deleted = [ask(port, "DELETE", f"/jobs/{job}").status for job in unreadable]
+        verdict.problems(
+            f"{what} back: waiting jobs that cannot be deleted",
+            [str(status) for status in deleted if status != 204],
+        )
     if what == "bucket":
         # Songs that were in it are gone.
         reasons = Counter(now["error"]["error_type"] for now in failed.values())

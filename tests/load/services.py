@@ -172,6 +172,11 @@ class Store:
         except OSError:
             return False
 
+    def status(self, key):
+        """What the store answers for an object, asked behind its S3 interface."""
+        path = f"/buckets/{BUCKET}/{key}"
+        return ask(self.ports["filer"][0], "GET", path, timeout=30).status
+
     def stop(self):
         self.process.terminate()
         self.process.wait()

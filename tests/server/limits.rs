@@ -170,6 +170,11 @@ async fn the_time_in_the_queue_is_reported() {
     let queued = spawn(&app, raw("", "song"));
     let job = send(&app, post("/jobs", "", "song")).await;
     until_counted(&app, &["bailando_queue_waiting 1"]).await;
+    eventually("the job waits for a worker", async || {
+        let status = get(&app, job.header("location")).await.json();
+        (status["stage"] == "queue").then_some(())
+    })
+    .await;
     tokio::time::sleep(WAIT).await;
     fake.release();
     assert!(told(&running.await.unwrap()) < WAIT);

@@ -145,8 +145,9 @@ async fn dance(
     let engine = Arc::clone(state.engine()?);
     engine.check(&options.generation(format))?;
     let client = state.jobs.owners().client(&lease.job.owner);
-    let audio = state.jobs.files.read_whole(&Jobs::song(lease.job.id)).await?;
+    // The phase is `queue` from here on: reading the song counts as waiting.
     let asked = Instant::now();
+    let audio = state.jobs.files.read_whole(&Jobs::song(lease.job.id)).await?;
     let mut permit = state.resources.admission.admit_unqueued(client, Stay::Long).await;
     permit.waited = asked.elapsed();
     let mut order = Order {

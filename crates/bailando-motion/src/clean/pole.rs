@@ -6,7 +6,10 @@
 //! everywhere. A turn of the upper arm about itself leads past it and moves no joint; the forearm
 //! turns back and stays as it was.
 
-use std::f64::consts::{PI, TAU};
+use std::{
+    collections::VecDeque,
+    f64::consts::{PI, TAU},
+};
 
 use glam::{DMat3, DQuat, DVec3, Quat};
 
@@ -25,6 +28,9 @@ const FAR: f64 = 0.7;
 const ASIDE: f64 = 0.165;
 /// Turns that are tried: so many on either side, of so many radians.
 const TRIED: (i16, f64) = (10, 3.0 / 360.0 * TAU);
+/// Furthest that an arm is turned by all of its passes together, radians: one that lingers at its
+/// pole passes it again and again.
+const FURTHEST: f64 = 60.0 / 360.0 * TAU;
 
 /// Leads the arms of one motion past their poles.
 #[derive(Clone, Debug)]
@@ -36,6 +42,8 @@ pub(super) struct PoleDetour {
     /// of either half, which has the other direction before it than after it.
     tried: Vec<[f64; 2]>,
     frames: Animation,
+    /// How far the arms of `frames` are turned, radians.
+    turned: VecDeque<[f64; 2]>,
     /// Steps of `frames` that need no more looking at.
     seen: usize,
     /// Number of frames released.
@@ -73,6 +81,7 @@ impl PoleDetour {
             continues,
             tried,
             frames: Animation::empty(fps),
+            turned: VecDeque::new(),
             seen: 0,
             done: 0,
         }
@@ -81,6 +90,7 @@ impl PoleDetour {
     /// Takes the next frames; returns those that are settled.
     pub(super) fn push(&mut self, animation: Animation) -> Animation {
         self.frames.push_frames(animation);
+        self.turned.resize(self.frames.root.len(), [0.0; 2]);
         // A pass is looked at with all frames that it may change, its fastest step being one of
         // three.
         let known = self.frames.root.len().saturating_sub(self.half_width + 4);
@@ -97,16 +107,16 @@ impl PoleDetour {
     fn release(&mut self, count: usize) -> Animation {
         self.seen = self.seen.saturating_sub(count);
         self.done += count;
+        self.turned.drain(..count);
         self.frames.take_frames(count)
     }
 
     /// Looks at the steps up to `known`, in order.
     fn look(&mut self, known: usize) {
         while self.seen < known {
-            for arm in 0..self.arms.len() {
-                let arm = self.arms[arm];
-                if self.jumps(arm, self.seen) {
-                    self.lead(arm, self.seen);
+            for side in 0..self.arms.len() {
+                if self.jumps(self.arms[side], self.seen) {
+                    self.lead(side, self.seen);
                 }
             }
             self.seen += 1;
@@ -122,8 +132,10 @@ impl PoleDetour {
             && turns[0].angle_between(turns[1]) < STEP
     }
 
-    /// Leads an arm past the pole that it passes in the step from `frame` or the two after it.
-    fn lead(&mut self, arm: Arm, frame: usize) {
+    /// Leads the arm of a side past the pole that it passes in the step from `frame` or the two
+    /// after it.
+    fn lead(&mut self, side: usize, frame: usize) {
+        let arm = self.arms[side];
         let turns = self.turns(arm, frame..frame + 4);
         let steps = || turns.windows(2).map(|pair| arm.step([pair[0], pair[1]], TAU));
         let fastest = steps().enumerate().max_by(|(_, a), (_, b)| a.total_cmp(b));
@@ -136,7 +148,17 @@ impl PoleDetour {
             shapes[frame][0] * pass + shapes[frame][1] * sides
         };
         let mut best = ([0.0; 2], f64::MAX);
+        let before: Vec<f64> = frames.clone().map(|at| self.turned[at][side]).collect();
+        let too_far = |tried: [f64; 2]| {
+            before.iter().enumerate().any(|(at, before)| {
+                let aside = aside(at, tried);
+                aside != 0.0 && (before + aside).abs() > FURTHEST
+            })
+        };
         for &tried in &self.tried {
+            if too_far(tried) {
+                continue;
+            }
             let turned = |frame: usize| arm.twisted(turns[frame], aside(frame, tried));
             let mut worst = 0.0_f64;
             for frame in 1..turns.len() {
@@ -154,7 +176,9 @@ impl PoleDetour {
         }
         for (at, frame) in frames.enumerate() {
             let [upper, lower] = arm.joints;
-            let twist = DQuat::from_axis_angle(arm.bone, aside(at, best.0));
+            let aside = aside(at, best.0);
+            self.turned[frame][side] += aside;
+            let twist = DQuat::from_axis_angle(arm.bone, aside);
             let pose = &mut self.frames.rotations[frame];
             pose[upper] = twisted_by(pose[upper], DQuat::IDENTITY, twist);
             pose[lower] = twisted_by(pose[lower], twist.inverse(), DQuat::IDENTITY);
@@ -270,6 +294,22 @@ mod tests {
             let moved = was.iter().zip(&is).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(moved < 1e-5, "{moved} m");
         }
+    }
+
+    #[test]
+    fn an_arm_that_lingers_at_its_pole_is_not_turned_ever_further() {
+        // It passes to and fro, twelve times a second.
+        let mut lingers = passing(0.05, 1.5);
+        for (frame, pose) in lingers.rotations.iter_mut().enumerate() {
+            let sway = 0.4 * (TAU * 6.0 * frame as f64 / 60.0).sin();
+            let arm = DQuat::from_rotation_z(0.05) * DQuat::from_rotation_x(0.5 * PI + sway);
+            pose[16] = arm.as_quat();
+        }
+        let after = led(&lingers, 7, false);
+        let turned = lingers.rotations.iter().zip(&after.rotations);
+        let turned = turned.map(|(was, is)| was[16].angle_between(is[16]));
+        let most = f64::from(turned.fold(0.0, f32::max));
+        assert!(most > 0.05 && most < FURTHEST + 1e-3, "{} degrees", most.to_degrees());
     }
 
     #[test]
