@@ -1,5 +1,7 @@
 //! Feet: contacts held in place, soles above the floor, toes that bend, legs that reach.
 
+use std::f64::consts::TAU;
+
 use glam::{DQuat, DVec3, Quat};
 
 use super::{
@@ -18,6 +20,9 @@ use crate::{
 const MOST_LOWERED: f64 = 0.08;
 /// Seconds that lowering the root starts before it is needed and ends after.
 const LOWERING: f64 = 0.15;
+/// Toes that leave the floor straighten no faster than this, radians a second: 20 degrees a frame
+/// at 60 fps.
+const STRAIGHTENING: f64 = 1200.0 / 360.0 * TAU;
 
 /// Plants the feet of one motion.
 #[derive(Clone, Debug)]
@@ -42,6 +47,8 @@ struct Leg {
     foot: Foot,
     heel: Contacts,
     ball: Contacts,
+    /// Most by which the toes straighten in a frame, radians.
+    straightening: f64,
     /// Where the foot goes, in every frame that is settled.
     targets: Vec<Target>,
 }
@@ -64,6 +71,7 @@ impl FeetPlanter {
                 foot: Foot::of(skeleton, ball)?,
                 heel: Contacts::new(&HEEL, fps, continues),
                 ball: Contacts::new(&BALL, fps, continues),
+                straightening: STRAIGHTENING / f64::from(fps),
                 targets: Vec::new(),
             })
         };
@@ -130,7 +138,11 @@ impl FeetPlanter {
             self.pose.set(self.frames.root[here], &self.frames.rotations[here]);
             let mut missing = 0.0_f64;
             for leg in &mut self.legs {
-                missing = missing.max(leg.settle(frame, &self.pose, self.flat));
+                let first = match self.continues {
+                    true => leg.foot.bend_of(self.frames.rotations[here][leg.limb.joints[3]]),
+                    false => 0.0,
+                };
+                missing = missing.max(leg.settle(frame, &self.pose, self.flat, first));
             }
             self.missing.push(missing.min(MOST_LOWERED));
         }
@@ -178,8 +190,9 @@ impl Leg {
         [place + turn * self.foot.heel, place + turn * self.foot.ball]
     }
 
-    /// Finds where the foot goes in `frame`; returns how much lower the root must be for it.
-    fn settle(&mut self, frame: usize, pose: &WorldPose, flat: bool) -> f64 {
+    /// Finds where the foot goes in `frame`; returns how much lower the root must be for it. Toes
+    /// are bent by `first` before the first frame.
+    fn settle(&mut self, frame: usize, pose: &WorldPose, flat: bool, first: f64) -> f64 {
         let [heel, ball] = self.points(pose);
         let holds = [self.heel.at(frame), self.ball.at(frame)];
         let [heel_to, ball_to] = [(heel, holds[0]), (ball, holds[1])].map(held);
@@ -201,7 +214,9 @@ impl Leg {
         };
         let pivot = self.foot.heel.lerp(self.foot.ball, share);
         let ankle = heel_to.lerp(ball_to, share) - turn * pivot;
-        let (toe_bend, lift) = self.foot.toe_bend(ankle + turn * self.foot.ball, turn);
+        let bent = self.targets.last().map_or(first, |before| before.toe_bend);
+        let ball = ankle + turn * self.foot.ball;
+        let (toe_bend, lift) = self.foot.toe_bend(ball, turn, bent - self.straightening);
         let ankle = ankle + DVec3::Y * lift;
         let [hip, _, joint, _] = self.limb.joints;
         let full = self.limb.distance_at(0.0);
@@ -234,4 +249,56 @@ fn held((point, hold): (DVec3, Hold)) -> DVec3 {
     // Between two contacts the path of the offset can dip.
     let wanted = (1.0 - hold.weight) * above_floor(now) + hold.weight * now.max(0.0);
     moved + DVec3::Y * (wanted - now)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Stands on the balls of its feet for a second, and leaves the floor at 3 m/s.
+    fn lifting(skeleton: &Skeleton) -> Animation {
+        let mut pose = vec![Quat::IDENTITY; 24];
+        for ankle in [7, 8] {
+            pose[ankle] = Quat::from_rotation_x(0.9);
+        }
+        let mut world = WorldPose::new(skeleton);
+        world.set(glam::Vec3::ZERO, &pose);
+        let stands = -height(world.place(10)) as f32;
+        let risen = |frame: usize| frame.saturating_sub(60) as f32 * 0.05;
+        let root = |frame: usize| glam::Vec3::Y * (stands + risen(frame));
+        Animation { fps: 60, root: (0..90).map(root).collect(), rotations: vec![pose; 90] }
+    }
+
+    #[test]
+    fn toes_that_leave_the_floor_straighten_in_some_frames() {
+        let skeleton = Skeleton::fixture();
+        for continues in [false, true] {
+            let mut planter = FeetPlanter::new(&skeleton, 60, continues);
+            let mut done = planter.push(lifting(&skeleton));
+            done.push_frames(planter.end());
+            let foot = planter.legs[0].foot;
+            let bends: Vec<f64> =
+                done.rotations.iter().map(|pose| foot.bend_of(pose[10])).collect();
+            assert!(bends[30] > 0.5, "on its toes: {}", bends[30]);
+            assert_eq!(bends[89], 0.0);
+            let most = bends.windows(2).map(|pair| pair[0] - pair[1]).fold(0.0, f64::max);
+            assert!(most < STRAIGHTENING / 60.0 + 1e-4, "{} degrees a frame", most.to_degrees());
+        }
+    }
+
+    #[test]
+    fn a_motion_that_continues_another_has_its_bent_toes() {
+        let skeleton = Skeleton::fixture();
+        let mut hangs = lifting(&skeleton);
+        let mut planter = FeetPlanter::new(&skeleton, 60, true);
+        let foot = planter.legs[0].foot;
+        hangs.take_frames(75);
+        for pose in &mut hangs.rotations {
+            pose[10] = foot.toes_bent(0.8).as_quat();
+        }
+        let mut done = planter.push(hangs);
+        done.push_frames(planter.end());
+        let first = foot.bend_of(done.rotations[0][10]);
+        assert!((first - (0.8 - STRAIGHTENING / 60.0)).abs() < 1e-4, "{first}");
+    }
 }

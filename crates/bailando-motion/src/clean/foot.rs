@@ -1,8 +1,8 @@
 //! The sole of a foot: heel, ball and toe tip, as the skeleton's rest offsets place them.
 
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use glam::{DQuat, DVec3};
+use glam::{DQuat, DVec3, Quat};
 
 use crate::{floor::STANDING_HEIGHT, skeleton::Skeleton, smooth::smooth_step};
 
@@ -105,14 +105,16 @@ impl Foot {
         own.lerp(level + DVec3::Y * rise, share).normalize_or(own)
     }
 
-    /// Returns the angle by which the toes of a foot with this world rotation bend up, so that
-    /// their tip stays above the floor, and how far the foot must be lifted where they cannot.
-    pub(super) fn toe_bend(&self, ball: DVec3, turn: DQuat) -> (f64, f64) {
+    /// Returns the angle by which the toes of a foot with this world rotation bend up, at least by
+    /// `least` and so that their tip stays above the floor, and how far the foot must be lifted
+    /// where they cannot.
+    pub(super) fn toe_bend(&self, ball: DVec3, turn: DQuat, least: f64) -> (f64, f64) {
         let length = self.toes.length();
         let [ahead, up] = [self.toes / length, DVec3::Y].map(|direction| (turn * direction).y);
         let straight = height(ball) + length * ahead;
         let wanted = above_floor(straight);
-        if wanted - straight < 1e-9 {
+        let is_above = wanted - straight < 1e-9;
+        if is_above && least <= 0.0 {
             return (0.0, 0.0);
         }
         // length * (ahead cos a + up sin a) = wanted - height(ball)
@@ -121,7 +123,8 @@ impl Foot {
         // Past upright, with the toes pointing back, they bend up still.
         let phase = if phase < -FRAC_PI_2 { phase + TAU } else { phase };
         let share = (wanted - height(ball)) / (length * largest);
-        let angle = (phase - share.clamp(-1.0, 1.0).acos()).clamp(0.0, MOST_BENT);
+        let needed = if is_above { 0.0 } else { phase - share.clamp(-1.0, 1.0).acos() };
+        let angle = needed.max(least).clamp(0.0, MOST_BENT);
         let lift = (wanted - height(ball) - rise(angle)).max(0.0);
         // High above the floor a skin may sag.
         let near = smooth_step(1.0 - height(ball) / (4.0 * self.sag).max(1e-9));
@@ -131,6 +134,14 @@ impl Foot {
     /// Returns the local rotation of the ball joint that bends the toes up by `angle`.
     pub(super) fn toes_bent(&self, angle: f64) -> DQuat {
         DQuat::from_axis_angle(self.toes.cross(DVec3::Y).normalize(), angle)
+    }
+
+    /// Returns the angle by which a local rotation of the ball joint bends the toes up.
+    pub(super) fn bend_of(&self, turn: Quat) -> f64 {
+        let axis = self.toes.cross(DVec3::Y).normalize();
+        let turn = turn.as_dquat();
+        let angle = 2.0 * turn.xyz().dot(axis).atan2(turn.w);
+        ((angle + PI).rem_euclid(TAU) - PI).clamp(0.0, MOST_BENT)
     }
 
     /// Returns the toe tip of a foot.
@@ -160,7 +171,7 @@ mod tests {
         let across = foot.toes.cross(DVec3::Y).normalize();
         for lifted in [0.0, 0.2, 0.5, 1.0, 1.3] {
             let turn = DQuat::from_axis_angle(across, -lifted);
-            let (bend, lift) = foot.toe_bend(ball, turn);
+            let (bend, lift) = foot.toe_bend(ball, turn, 0.0);
             let tip = foot.toe_tip(ball, turn, bend) + DVec3::Y * lift;
             assert!((height(tip) - above_floor(-foot.toes.length() * lifted.sin())).abs() < 1e-9);
             assert!((0.0..=MOST_BENT).contains(&bend) && (lift < 1e-9 || bend == MOST_BENT));
@@ -170,7 +181,7 @@ mod tests {
         let mut last = None;
         for step in 0..100 {
             let turn = DQuat::from_axis_angle(across, -1.2 - 0.01 * f64::from(step));
-            let found = foot.toe_bend(ball, turn);
+            let found = foot.toe_bend(ball, turn, 0.0);
             let near = |(bend, lift): (f64, f64)| {
                 (bend - found.0).abs() < 0.02 && (lift - found.1).abs() < 1e-3
             };
@@ -179,7 +190,7 @@ mod tests {
         }
         // Toes that point up stay straight.
         let turn = DQuat::from_axis_angle(across, 0.5);
-        assert_eq!(foot.toe_bend(ball, turn), (0.0, 0.0));
+        assert_eq!(foot.toe_bend(ball, turn, 0.0), (0.0, 0.0));
     }
 
     #[test]
@@ -188,7 +199,7 @@ mod tests {
         let soft = foot.with_toes(0.07, 0.01);
         let turn = DQuat::from_axis_angle(foot.toes.cross(DVec3::Y).normalize(), -0.9);
         let lift = |foot: &Foot, above: f64| {
-            foot.toe_bend(DVec3::Y * (f64::from(STANDING_HEIGHT) + above), turn).1
+            foot.toe_bend(DVec3::Y * (f64::from(STANDING_HEIGHT) + above), turn, 0.0).1
         };
         assert!(lift(&foot, 0.0) < 1e-9);
         assert!((0.002..0.004).contains(&lift(&soft, 0.0)), "{}", lift(&soft, 0.0));
