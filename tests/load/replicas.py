@@ -33,6 +33,8 @@ AWAY = 20
 # Longest wait for a first accepted order after that.
 RECOVERED = 10
 ALL_DONE = 1800
+# More jobs than this that the store has lost in part are a fault of ours.
+MOST_UNREADABLE = 50
 
 
 def extend(parser):
@@ -109,27 +111,27 @@ class Fleet:
             page = f"&before={listed['next']}" if "next" in listed else None
         return {job: found.get(job) for job in self.accepted}
 
-    def open_jobs(self):
-        counted = self.apis[0].metrics()
-        return sum(int(counted.sum("bailando_jobs", state=s)) for s in ("queued", "running"))
-
     def ended(self):
         """Waits until no job is open but those whose songs the store cannot read; what has become
         of those accepted."""
         until = time.monotonic() + ALL_DONE
-        while self.open_jobs() and time.monotonic() < until:
-            jobs = self.jobs()
-            waiting = {job for job, now in jobs.items() if now and now["state"] == "queued"}
-            if len(waiting) == self.open_jobs() and waiting == self.unreadable(waiting):
+        while time.monotonic() < until:
+            counted = self.apis[0].metrics()
+            queued, running = (
+                int(counted.sum("bailando_jobs", state=state)) for state in ("queued", "running")
+            )
+            # Jobs are listed only where nothing moves, for a list costs the database something.
+            if not running and queued == len(self.unreadable(queued)):
                 break
             time.sleep(0.5)
         return self.jobs()
 
-    def unreadable(self, jobs):
-        """Those of the jobs whose songs the store lists and cannot read, as it says itself."""
-        if not self.store or len(jobs) > 50:
+    def unreadable(self, queued):
+        """Those of so many queued jobs whose songs the store has and cannot read, as it says."""
+        if not self.store or not 0 < queued <= MOST_UNREADABLE:
             return set()
-        return {job for job in jobs if self.store.status(f"test/jobs/{job}/song") >= 500}
+        waiting = [job for job, now in self.jobs().items() if now and now["state"] == "queued"]
+        return {job for job in waiting if self.store.status(f"test/jobs/{job}/song") >= 500}
 
     def danced(self):
         return [int(worker.metrics().sum("bailando_dances_total")) for worker in self.workers]
@@ -397,7 +399,7 @@ def judge(fleet, verdict, what, new):
     failed = {job: now for job, now in jobs.items() if now and now["state"] == "failed"}
     open_ = {job for job, now in jobs.items() if not now or now["state"] not in ("done", "failed")}
     # They wait for a store that may be repaired, for as long as a result would be kept.
-    unreadable = fleet.unreadable(open_) if what == "bucket" else set()
+    unreadable = fleet.unreadable(len(open_)) & open_ if what == "bucket" else set()
     verdict.problems(
         f"{what} back: accepted jobs that have no end",
         [f"job {job}: {jobs[job]}" for job in open_ - unreadable],

@@ -109,16 +109,18 @@ pub(crate) fn smallest_rotation(
     let before = (previous * rest).normalize();
     let carried = (DQuat::from_rotation_arc(before, direction) * previous).normalize();
     // Both take `rest` to `direction`, so they differ by a rotation about it.
-    let mut difference = smallest * carried.inverse();
-    if difference.w < 0.0 {
-        difference = -difference;
-    }
-    let twist = 2.0 * difference.xyz().dot(direction).atan2(difference.w);
+    let twist = twist_about(direction, smallest * carried.inverse());
     if twist.abs() <= max_twist {
         return smallest;
     }
     let permitted = twist.clamp(-max_twist, max_twist);
     (DQuat::from_axis_angle(direction, permitted) * carried).normalize()
+}
+
+/// Returns the angle by which a rotation turns about a unit vector, within half a turn, radians.
+pub(crate) fn twist_about(axis: DVec3, rotation: DQuat) -> f64 {
+    let rotation = if rotation.w < 0.0 { -rotation } else { rotation };
+    2.0 * rotation.xyz().dot(axis).atan2(rotation.w)
 }
 
 /// Returns that quaternion of a rotation that lies nearer to `previous`.

@@ -138,11 +138,9 @@ impl FeetPlanter {
             self.pose.set(self.frames.root[here], &self.frames.rotations[here]);
             let mut missing = 0.0_f64;
             for leg in &mut self.legs {
-                let first = match self.continues {
-                    true => leg.foot.bend_of(self.frames.rotations[here][leg.limb.joints[3]]),
-                    false => 0.0,
-                };
-                missing = missing.max(leg.settle(frame, &self.pose, self.flat, first));
+                let ball = leg.limb.joints[3];
+                let toes = self.continues.then(|| self.frames.rotations[here][ball]);
+                missing = missing.max(leg.settle(frame, &self.pose, self.flat, toes));
             }
             self.missing.push(missing.min(MOST_LOWERED));
         }
@@ -190,9 +188,9 @@ impl Leg {
         [place + turn * self.foot.heel, place + turn * self.foot.ball]
     }
 
-    /// Finds where the foot goes in `frame`; returns how much lower the root must be for it. Toes
-    /// are bent by `first` before the first frame.
-    fn settle(&mut self, frame: usize, pose: &WorldPose, flat: bool, first: f64) -> f64 {
+    /// Finds where the foot goes in `frame`; returns how much lower the root must be for it. Before
+    /// the first frame of a motion that continues another, the toes are bent as `toes` says.
+    fn settle(&mut self, frame: usize, pose: &WorldPose, flat: bool, toes: Option<Quat>) -> f64 {
         let [heel, ball] = self.points(pose);
         let holds = [self.heel.at(frame), self.ball.at(frame)];
         let [heel_to, ball_to] = [(heel, holds[0]), (ball, holds[1])].map(held);
@@ -214,7 +212,10 @@ impl Leg {
         };
         let pivot = self.foot.heel.lerp(self.foot.ball, share);
         let ankle = heel_to.lerp(ball_to, share) - turn * pivot;
-        let bent = self.targets.last().map_or(first, |before| before.toe_bend);
+        let bent = match self.targets.last() {
+            Some(before) => before.toe_bend,
+            None => toes.map_or(0.0, |toes| self.foot.bend_of(toes)),
+        };
         let ball = ankle + turn * self.foot.ball;
         let (toe_bend, lift) = self.foot.toe_bend(ball, turn, bent - self.straightening);
         let ankle = ankle + DVec3::Y * lift;

@@ -1,10 +1,10 @@
 //! The sole of a foot: heel, ball and toe tip, as the skeleton's rest offsets place them.
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 use glam::{DQuat, DVec3, Quat};
 
-use crate::{floor::STANDING_HEIGHT, skeleton::Skeleton, smooth::smooth_step};
+use crate::{fit::twist_about, floor::STANDING_HEIGHT, skeleton::Skeleton, smooth::smooth_step};
 
 /// Distance from the ankle back to the heel's contact, share of that from ankle to ball along the
 /// floor. Ankle joints lie a quarter of the foot's length from its back, balls at 70 to 75 %.
@@ -133,15 +133,17 @@ impl Foot {
 
     /// Returns the local rotation of the ball joint that bends the toes up by `angle`.
     pub(super) fn toes_bent(&self, angle: f64) -> DQuat {
-        DQuat::from_axis_angle(self.toes.cross(DVec3::Y).normalize(), angle)
+        DQuat::from_axis_angle(self.toe_axis(), angle)
+    }
+
+    /// Returns the axis about which the toes bend up, in the frame of the ball joint.
+    fn toe_axis(&self) -> DVec3 {
+        self.toes.cross(DVec3::Y).normalize()
     }
 
     /// Returns the angle by which a local rotation of the ball joint bends the toes up.
     pub(super) fn bend_of(&self, turn: Quat) -> f64 {
-        let axis = self.toes.cross(DVec3::Y).normalize();
-        let turn = turn.as_dquat();
-        let angle = 2.0 * turn.xyz().dot(axis).atan2(turn.w);
-        ((angle + PI).rem_euclid(TAU) - PI).clamp(0.0, MOST_BENT)
+        twist_about(self.toe_axis(), turn.as_dquat()).clamp(0.0, MOST_BENT)
     }
 
     /// Returns the toe tip of a foot.
