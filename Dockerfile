@@ -3,6 +3,13 @@
 #
 #   docker build -t bailando .
 #   docker run --rm -p 8080:8080 --read-only --cap-drop ALL bailando
+#
+# The variant for NVIDIA GPUs has CUDA and cuDNN beside ONNX Runtime, and computes there:
+#
+#   docker build --build-arg DEVICE=cuda -t bailando:cuda .
+#   docker run --rm --gpus all -p 8080:8080 --read-only --cap-drop ALL bailando:cuda
+
+ARG DEVICE=cpu
 
 FROM rust:1.95-bookworm AS builder
 WORKDIR /build
@@ -35,7 +42,13 @@ RUN apt-get update \
     && apt-get install --yes --no-install-recommends ca-certificates python3-pip \
     && rm -rf /var/lib/apt/lists/*
 COPY scripts/fetch-onnxruntime.sh /
-RUN /fetch-onnxruntime.sh --dest /opt/onnxruntime
+ARG DEVICE
+RUN if [ "$DEVICE" = cuda ]; then set -- --cuda; fi \
+    && /fetch-onnxruntime.sh "$@" --dest /opt/onnxruntime \
+    # The licences in a folder of their own, whatever their number.
+    && mkdir /opt/onnxruntime/doc \
+    && find /opt/onnxruntime -mindepth 1 -maxdepth 1 ! -name lib ! -name doc \
+        -exec mv --target-directory=/opt/onnxruntime/doc {} +
 
 FROM debian:bookworm-slim
 LABEL org.opencontainers.image.title="bailando" \
@@ -43,12 +56,14 @@ LABEL org.opencontainers.image.title="bailando" \
       org.opencontainers.image.licenses="MIT"
 # hadolint ignore=DL3008
 RUN apt-get update \
-    && apt-get install --yes --no-install-recommends ca-certificates libstdc++6 \
+    # cuDNN needs zlib.
+    && apt-get install --yes --no-install-recommends ca-certificates libstdc++6 zlib1g \
     && rm -rf /var/lib/apt/lists/*
-COPY --from=onnxruntime /opt/onnxruntime/LICENSE /opt/onnxruntime/ThirdPartyNotices.txt \
-     /usr/local/share/doc/onnxruntime/
-COPY --from=onnxruntime /opt/onnxruntime/lib/libonnxruntime.so /usr/local/lib/
-ENV ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so \
+COPY --from=onnxruntime /opt/onnxruntime/doc /usr/local/share/doc/onnxruntime
+COPY --from=onnxruntime /opt/onnxruntime/lib /usr/local/lib
+ARG DEVICE
+ENV BAILANDO_DEVICE=${DEVICE} \
+    ORT_DYLIB_PATH=/usr/local/lib/libonnxruntime.so \
     BAILANDO_HOST=0.0.0.0 \
     BAILANDO_MODEL_DIR=/app/models/default
 WORKDIR /app

@@ -124,7 +124,7 @@ check_with "kubectl version --client" "manifests with a key as applied (kustomiz
     validate_rendered deploy/kubernetes-api-key
 check_with "kubectl version --client" "the same without fixed users" \
     validate_rendered deploy/kubernetes-any-user
-check "Helm chart (rendered in five ways, schemas of Kubernetes ${kubernetes_versions[*]})" validate_helm
+check "Helm chart (rendered in six ways, schemas of Kubernetes ${kubernetes_versions[*]})" validate_helm
 check "manifests name the version" versions_agree
 check "Prometheus and provisioning (YAML)" parse_yaml deploy/prometheus.yml deploy/prometheus/*.yml \
     deploy/grafana/provisioning/*/*.yml

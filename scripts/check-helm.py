@@ -30,6 +30,11 @@ WAYS = {
         "tolerations": [{"key": "dance", "operator": "Exists"}],
         "podAnnotations": {"a": "b"},
     },
+    "gpu": {
+        **SHARED,
+        "image": {"tag": "1.0"},
+        "worker": {"enabled": True, "tag": "1.0-cuda", "resources": {"limits": {"nvidia.com/gpu": 1}}},
+    },
     "any-user": {**SHARED, "user": None},
     "fixed": {
         **SHARED,
@@ -101,7 +106,12 @@ def check(way, values, parts):
         assert kinds["postgresql"]["authenticationRef"]["name"] in authentications
         strings = [value for trigger in kinds.values() for value in trigger["metadata"].values()]
         assert all(isinstance(value, str) for value in strings), "KEDA wants strings"
-    assert len(of("ScaledObject")) == (way in ("shared", "everything", "any-user"))
+    assert len(of("ScaledObject")) == (way in ("shared", "everything", "gpu", "any-user"))
+    if way == "gpu":
+        containers = [part["spec"]["template"]["spec"]["containers"][0] for part in of("Deployment")]
+        tags = {container["image"]: container["resources"]["limits"].get("nvidia.com/gpu")
+                for container in containers}
+        assert tags == {"bailando:1.0": None, "bailando:1.0-cuda": 1}, tags
     for policy in of("NetworkPolicy"):
         ports = {port["port"] for rule in policy["spec"]["egress"] for port in rule.get("ports", [])}
         # Alone it opens no connections at all.

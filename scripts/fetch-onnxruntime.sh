@@ -5,12 +5,15 @@
 # configured already. Both the wheel and the library in it are pinned by SHA-256: nothing else is ever
 # installed.
 #
-# Usage: scripts/fetch-onnxruntime.sh [--dest DIR]
-#   --dest DIR   where to install (default: .onnxruntime in the project)
-# Result: DIR/lib/libonnxruntime.so (.dylib on macOS), DIR/LICENSE, DIR/ThirdPartyNotices.txt
+# Usage: scripts/fetch-onnxruntime.sh [--cuda] [--dest DIR]
+#   --cuda       the library with NVIDIA's of CUDA 13 and cuDNN 9 beside it, for --device cuda
+#                (Linux x86_64, 1.4 GB to download, 2.0 GB on the disk)
+#   --dest DIR   where to install (default: .onnxruntime in the project, .onnxruntime/cuda for --cuda)
+# Result: DIR/lib/libonnxruntime.so (.dylib on macOS), licences in DIR, those of NVIDIA in DIR/nvidia
 set -eu
 
 version=1.32.0
+package=onnxruntime
 python_tag=3.12 # of the wheel; the library in it does not depend on Python
 
 fail() {
@@ -59,6 +62,30 @@ Elsewhere, build ONNX Runtime $version and set ORT_DYLIB_PATH to its shared libr
     Darwin-*) library=libonnxruntime.dylib member=onnxruntime/capi/libonnxruntime.$version.dylib ;;
     *) library=libonnxruntime.so member=onnxruntime/capi/libonnxruntime.so.$version ;;
     esac
+}
+
+# The library with CUDA has versions of its own.
+select_cuda() {
+    [ "$1" = Linux-x86_64 ] || fail "--cuda is for Linux x86_64, this is $1."
+    version=1.31.1
+    package=onnxruntime-gpu
+    wheel_platform=manylinux_2_28_x86_64
+    wheel_sha256=05d548956197b9d01f59b625de740e0d6be3593f874e241a12dc0362650ecdf7
+    library=libonnxruntime.so
+    member=onnxruntime/capi/libonnxruntime.so.$version
+    library_sha256=5104254339ecadae808da771bd0b63b240f0dbd466514234905e54372435c303
+}
+
+# What the provider needs of NVIDIA's, for pip, which checks the hashes. The first of CUDA 13, so that
+# every driver from 580 on will do.
+nvidia_wheels() {
+    cat <<'WHEELS'
+nvidia-cublas==13.1.0.3 --hash=sha256:ee8722c1f0145ab246bccb9e452153b5e0515fd094c3678df50b2a0888b8b171
+nvidia-cuda-nvrtc==13.0.88 --hash=sha256:ad9b6d2ead2435f11cbb6868809d2adeeee302e9bb94bcf0539c7a40d80e8575
+nvidia-cuda-runtime==13.0.96 --hash=sha256:7f82250d7782aa23b6cfe765ecc7db554bd3c2870c43f3d1821f1d18aebf0548
+nvidia-cudnn-cu13==9.28.1.4 --hash=sha256:a54f205b1db1f2895d99f398754db1369816f0569dd459731f925635cf7b65ec
+nvidia-curand==10.4.0.35 --hash=sha256:1aee33a5da6e1db083fe2b90082def8915f30f3248d5896bcec36a579d941bfc
+WHEELS
 }
 
 # The wheel's own platform tag promises these; the loader's message without them is unreadable.
@@ -110,7 +137,9 @@ expect_sha256() {
 A proxy or mirror may have answered with something else: try again, or check PIP_INDEX_URL."
 }
 
+# The library is moved into place last of all.
 is_installed() {
+    [ -z "$cuda" ] || [ -d "$dest/nvidia" ] || return 1
     [ -f "$dest/LICENSE" ] && [ -f "$dest/ThirdPartyNotices.txt" ] &&
         [ -f "$dest/lib/$library" ] && [ "$(sha256 "$dest/lib/$library")" = "$library_sha256" ]
 }
@@ -118,8 +147,8 @@ is_installed() {
 download() {
     python3 -m pip download --quiet --no-deps --only-binary=:all: \
         --python-version "$python_tag" --implementation cp --abi "cp$(echo "$python_tag" | tr -d .)" \
-        --platform "$wheel_platform" --dest "$1" "onnxruntime==$version" ||
-        fail "pip could not download onnxruntime==$version for $wheel_platform (see above).
+        --platform "$wheel_platform" --dest "$1" "$package==$version" ||
+        fail "pip could not download $package==$version for $wheel_platform (see above).
 Behind a mirror, set PIP_INDEX_URL; behind a proxy, HTTPS_PROXY. Or get the library by other
 means and set ORT_DYLIB_PATH to it."
     set -- "$1"/*.whl
@@ -164,10 +193,39 @@ install_library() {
         "$stage/wheel/onnxruntime/ThirdPartyNotices.txt"
     mv -f "$stage/wheel/onnxruntime/LICENSE" "$dest/LICENSE"
     mv -f "$stage/wheel/onnxruntime/ThirdPartyNotices.txt" "$dest/ThirdPartyNotices.txt"
+    [ -z "$cuda" ] || install_cuda
     mv -f "$stage/wheel/$member" "$dest/lib/$library"
 }
 
-dest=$(dirname "$0")/../.onnxruntime
+# Puts the CUDA provider and NVIDIA's libraries beside where the library will be, and their licences
+# into DIR/nvidia.
+install_cuda() {
+    nvidia_wheels >"$stage/nvidia.txt"
+    python3 -m pip download --quiet --no-deps --only-binary=:all: --require-hashes \
+        --platform manylinux_2_27_x86_64 --platform manylinux_2_17_x86_64 \
+        --platform manylinux_2_12_x86_64 --dest "$stage/wheels" --requirement "$stage/nvidia.txt" ||
+        fail "pip could not download NVIDIA's libraries (see above)."
+    mkdir "$stage/nvidia"
+    for wheel in "$stage/wheels"/*.whl; do
+        python3 -m zipfile -e "$wheel" "$stage/cuda" || fail "cannot unpack $wheel."
+        rm "$wheel"
+    done
+    for licence in "$stage/cuda"/*.dist-info/licenses/License.txt; do
+        name=${licence#"$stage/cuda/"}
+        mv "$licence" "$stage/nvidia/${name%%-*}.txt"
+    done
+    mv -f "$stage/wheel/onnxruntime/capi/libonnxruntime_providers_shared.so" \
+        "$stage/wheel/onnxruntime/capi/libonnxruntime_providers_cuda.so" \
+        "$stage"/cuda/nvidia/*/lib/lib*.so.* "$dest/lib/"
+    # Of no use here.
+    rm -f "$dest/lib"/libnvblas.so.* "$dest/lib"/libnvrtc*.alt.so.*
+    chmod 0644 "$dest/lib"/lib* "$stage/nvidia"/*
+    rm -rf "$dest/nvidia"
+    mv "$stage/nvidia" "$dest/nvidia"
+}
+
+dest=
+cuda=
 while [ $# -gt 0 ]; do
     case "$1" in
     --dest)
@@ -179,6 +237,10 @@ while [ $# -gt 0 ]; do
         dest=${1#--dest=}
         shift
         ;;
+    --cuda)
+        cuda=yes
+        shift
+        ;;
     -h | --help)
         usage
         exit 0
@@ -188,10 +250,16 @@ while [ $# -gt 0 ]; do
 done
 
 platform=$(uname -s)-$(uname -m)
-select_platform "$platform"
+if [ -n "$cuda" ]; then
+    select_cuda "$platform"
+    [ -n "$dest" ] || dest=$(dirname "$0")/../.onnxruntime/cuda
+else
+    select_platform "$platform"
+    [ -n "$dest" ] || dest=$(dirname "$0")/../.onnxruntime
+fi
 is_installed && exit 0
 check_system "$platform"
 check_python
-echo "Downloading ONNX Runtime $version ($wheel_platform) with pip .."
+echo "Downloading ONNX Runtime $version ($wheel_platform${cuda:+, with CUDA 13}) with pip .."
 install_library
 echo "ONNX Runtime $version is in $(cd "$dest" && pwd)/lib/$library"

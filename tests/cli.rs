@@ -177,17 +177,21 @@ fn wrong_use_exits_with_2_and_failure_with_1() {
         &format!("generate {SONG}"),
         &format!("generate {SONG} -o {movie}"),
         &format!("generate {SONG} -o {json} --fps 25"),
+        &format!("generate {SONG} -o {json} --device gpu"),
         &format!("generate {SONG} {SONG} -o {json}"),
     ] {
         let (code, message) = fail(arguments);
         assert_eq!(code, Some(2), "{arguments}: {message}");
     }
     let no_model = format!("generate {SONG} -o {json} --model-dir src");
+    // Whatever the library, and however many GPUs there are.
+    let no_device = format!("generate {SONG} -o {json} --device cuda:65535");
     let unreachable = "healthcheck --url http://127.0.0.1:1/health";
     for (arguments, expected) in [
         (&*format!("generate no-such-song.mp3 -o {json}"), "no-such-song.mp3"),
         (&format!("generate Cargo.toml -o {json}"), "Cargo.toml"),
         (&no_model, "manifest.json"),
+        (&no_device, "cuda:65535: "),
         (unreachable, "127.0.0.1:1"),
     ] {
         let (code, message) = fail(arguments);

@@ -18,6 +18,7 @@ pub(super) struct Generator {
 impl Generator {
     pub(super) fn open(options: &BenchOptions, threads: usize) -> Result<Self> {
         let engine = Engine::open(&EngineConfig {
+            device: options.device,
             threads,
             queue: 64,
             ..EngineConfig::new(&options.model_dir)

@@ -4,11 +4,15 @@ use std::path::PathBuf;
 
 use bytes::Bytes;
 
+use crate::model::Device;
+
 /// The model, the song and the extent of a bench.
 #[derive(Clone, Debug)]
 pub struct BenchOptions {
     /// The model directory.
     pub model_dir: PathBuf,
+    /// What computes the model.
+    pub device: Device,
     /// The song, as uploaded.
     pub song: Bytes,
     /// Numbers of threads that steps are measured with; everything else uses the last one.

@@ -13,6 +13,8 @@ pub struct Bench {
     pub model: String,
     /// Storage of its weights.
     pub weights: WeightStorage,
+    /// What computes it.
+    pub device: String,
     /// Threads of a step unless a figure says otherwise.
     pub threads: usize,
     /// Seconds from nothing to ready, the checks of the model included.

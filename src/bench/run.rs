@@ -11,7 +11,7 @@ use crate::model::ModelDirectory;
 /// # Errors
 /// Any error of a generation.
 pub fn run(options: &BenchOptions, report: &dyn Fn(&str)) -> Result<Bench> {
-    let directory = ModelDirectory::open(&options.model_dir)?;
+    let directory = ModelDirectory::open(&options.model_dir)?.on(options.device);
     let manifest = directory.manifest();
     let threads = options.threads.last().copied().unwrap_or(1);
     report("start");
@@ -45,6 +45,7 @@ pub fn run(options: &BenchOptions, report: &dyn Fn(&str)) -> Result<Bench> {
         machine: machine::describe(),
         model: manifest.name.clone(),
         weights: manifest.weights,
+        device: options.device.to_string(),
         threads,
         start_s,
         resident_before_start_bytes,

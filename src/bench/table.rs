@@ -30,9 +30,10 @@ impl Bench {
             WeightStorage::Int8 => "int8",
         };
         let (vectors, model, threads) = (vectors.join(", "), &self.model, self.threads);
+        let device = &self.device;
         format!(
             "{cores} cores of {cpu} ({vectors}), {system}; model {model} ({weights}), \
-             {threads} threads a step"
+             on {device}, {threads} threads a step"
         )
     }
 

@@ -3,7 +3,10 @@
 use std::{num::NonZeroUsize, path::PathBuf};
 
 use anyhow::{Context, anyhow};
-use bailando::bench::{self, Baseline, BenchOptions};
+use bailando::{
+    bench::{self, Baseline, BenchOptions},
+    model::Device,
+};
 
 use super::console::{positive_seconds, read_file, say, say_error, write_file};
 
@@ -19,6 +22,9 @@ pub(super) struct BenchArgs {
     /// Model directory
     #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
     model_dir: PathBuf,
+    /// What computes the model: cpu, cuda or cuda:N
+    #[arg(long, env = "BAILANDO_DEVICE", default_value_t = Device::Cpu)]
+    device: Device,
     /// Numbers of threads for steps; everything else uses the last one
     #[arg(long, value_delimiter = ',', default_value = "1,2")]
     threads: Vec<NonZeroUsize>,
@@ -60,6 +66,7 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let numbers = |numbers: &[NonZeroUsize]| numbers.iter().map(|number| number.get()).collect();
     let options = BenchOptions {
         model_dir: args.model_dir.clone(),
+        device: args.device,
         song: read_file(&args.song)?.into(),
         threads: numbers(&args.threads),
         repeats: args.repeats,

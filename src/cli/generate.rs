@@ -13,6 +13,7 @@ use bailando::{
     engine::{Engine, EngineConfig, GenerationRequest, MAX_CANDIDATES},
     features::{COLUMNS, with_counts},
     formats::{Character, Codes, GeneratedMotion, OutputFormat},
+    model::Device,
     motion,
     npy::read_array,
     options::RequestOptions,
@@ -56,6 +57,9 @@ pub(super) struct GenerateArgs {
     /// Model directory
     #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
     model_dir: PathBuf,
+    /// What computes the model: cpu, cuda or cuda:N
+    #[arg(long, env = "BAILANDO_DEVICE", default_value_t = Device::Cpu)]
+    device: Device,
     /// Threads that compute one step of the model [default: all cores]
     #[arg(long, env = "BAILANDO_THREADS")]
     threads: Option<NonZeroUsize>,
@@ -127,6 +131,7 @@ impl GenerateArgs {
     fn open(&self) -> anyhow::Result<Engine> {
         let defaults = EngineConfig::new(&self.model_dir);
         Ok(Engine::open(&EngineConfig {
+            device: self.device,
             threads: self.threads.map_or(defaults.threads, NonZeroUsize::get),
             // Enough for all that the options allow.
             batch: 2 * MAX_CANDIDATES,

@@ -27,7 +27,7 @@ use super::{
 use crate::{
     audio::AudioLimits,
     codebook::Memory,
-    model::{Manifest, ModelDirectory, WindowKind},
+    model::{Device, Manifest, ModelDirectory, WindowKind},
     motion::Positions,
 };
 
@@ -62,6 +62,8 @@ pub fn check_options(
 pub struct EngineConfig {
     /// The model directory.
     pub model_dir: PathBuf,
+    /// What the model is computed on.
+    pub device: Device,
     /// Threads that ONNX Runtime computes one step with.
     pub threads: usize,
     /// Sequences that share a step of the model, candidates counted. At most about three times as
@@ -85,6 +87,7 @@ impl EngineConfig {
     pub fn new(model_dir: impl Into<PathBuf>) -> Self {
         Self {
             model_dir: model_dir.into(),
+            device: Device::Cpu,
             threads: thread::available_parallelism().map_or(1, NonZeroUsize::get),
             batch: DEFAULT_BATCH.get(),
             queue: 1,
@@ -123,7 +126,7 @@ impl Engine {
     /// [`EngineError::Model`] says which file of the directory is wrong and why;
     /// [`EngineError::NoThread`].
     pub fn open(config: &EngineConfig) -> Result<Self, EngineError> {
-        let directory = Arc::new(ModelDirectory::open(&config.model_dir)?);
+        let directory = Arc::new(ModelDirectory::open(&config.model_dir)?.on(config.device));
         let manifest = directory.manifest();
         GenerationOptions::default().check(manifest, config.batch)?;
         let threads = config.threads.max(1);

@@ -8,7 +8,10 @@ use bailando_testkit::{
 use ndarray::Array2;
 use ort::value::Tensor;
 
-use super::session::{Graph, Inputs};
+use super::{
+    Device,
+    session::{Graph, Inputs, SessionOptions},
+};
 
 const STEPS: usize = 6;
 const LAYERS: usize = 4;
@@ -22,7 +25,8 @@ struct Sequence {
 }
 
 fn graph(name: &'static str) -> Graph {
-    Graph::open(name, &tiny().join(format!("{name}.onnx")), 1, false).unwrap()
+    let options = SessionOptions { device: Device::Cpu, threads: 1, keeps_memory: false };
+    Graph::open(name, &tiny().join(format!("{name}.onnx")), options).unwrap()
 }
 
 fn golden(name: &str) -> std::path::PathBuf {

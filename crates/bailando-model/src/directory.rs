@@ -9,7 +9,7 @@ use std::{
 use sha2::{Digest, Sha256};
 
 use super::{
-    Decoder, Encoder, Gpt, Manifest, ModelError, STYLES_FILE, StyleClassifier,
+    Decoder, Device, Encoder, Gpt, Manifest, ModelError, STYLES_FILE, StyleClassifier,
     installed::model_directory,
 };
 
@@ -22,6 +22,7 @@ pub struct ModelDirectory {
     root: PathBuf,
     manifest: Manifest,
     manifest_sha256: String,
+    device: Device,
 }
 
 impl ModelDirectory {
@@ -49,7 +50,13 @@ impl ModelDirectory {
             check_file(&path, entry.bytes, &entry.sha256)?;
         }
         let manifest_sha256 = hexadecimal(&Sha256::digest(&text));
-        Ok(Self { root: root.to_path_buf(), manifest, manifest_sha256 })
+        Ok(Self { root: root.to_path_buf(), manifest, manifest_sha256, device: Device::Cpu })
+    }
+
+    /// The same directory, whose graphs are computed on `device`, by default the processor.
+    #[must_use]
+    pub fn on(self, device: Device) -> Self {
+        Self { device, ..self }
     }
 
     /// The folder.
@@ -90,25 +97,28 @@ impl ModelDirectory {
     /// Loads the motion GPT.
     ///
     /// # Errors
-    /// See [`Gpt::open`].
+    /// [`ModelError::Graph`], [`ModelError::Mismatch`], [`ModelError::Device`] or
+    /// [`ModelError::Runtime`].
     pub fn gpt(&self, threads: usize) -> Result<Gpt, ModelError> {
-        Gpt::open(&self.root.join("gpt.onnx"), &self.manifest, threads)
+        Gpt::open(&self.root.join("gpt.onnx"), &self.manifest, self.device, threads)
     }
 
     /// Loads the decoder.
     ///
     /// # Errors
-    /// See [`Decoder::open`].
+    /// [`ModelError::Graph`], [`ModelError::Mismatch`], [`ModelError::Device`] or
+    /// [`ModelError::Runtime`].
     pub fn decoder(&self, threads: usize) -> Result<Decoder, ModelError> {
-        Decoder::open(&self.root.join("decoder.onnx"), &self.manifest, threads)
+        Decoder::open(&self.root.join("decoder.onnx"), &self.manifest, self.device, threads)
     }
 
     /// Loads the encoder.
     ///
     /// # Errors
-    /// See [`Encoder::open`].
+    /// [`ModelError::Graph`], [`ModelError::Mismatch`], [`ModelError::Device`] or
+    /// [`ModelError::Runtime`].
     pub fn encoder(&self, threads: usize) -> Result<Encoder, ModelError> {
-        Encoder::open(&self.root.join("encoder.onnx"), &self.manifest, threads)
+        Encoder::open(&self.root.join("encoder.onnx"), &self.manifest, self.device, threads)
     }
 }
 

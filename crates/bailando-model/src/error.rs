@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use super::Device;
+
 /// What can be wrong with a model directory or with ONNX Runtime. Messages are one line.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
@@ -48,6 +50,14 @@ pub enum ModelError {
     /// The ONNX Runtime library was not found or could not be used.
     #[error("ONNX Runtime: {0}")]
     Runtime(String),
+    /// A device cannot be used.
+    #[error("{device}: {problem}")]
+    Device {
+        /// The device.
+        device: Device,
+        /// Why, and what to do.
+        problem: String,
+    },
     /// A file is not a graph that is read from a model directory.
     #[error("{}: not a graph this version reads: {problem}", path.display())]
     GraphFile {

@@ -9,9 +9,11 @@ use ort::{
 };
 
 use super::{
-    Manifest, ModelError,
+    Device, Manifest, ModelError,
     cache::{KvCache, RowShape, STREAMS},
-    session::{Graph, Inputs, floats, integers, one_line, take, take_matrices, tensor},
+    session::{
+        Graph, Inputs, SessionOptions, floats, integers, one_line, take, take_matrices, tensor,
+    },
 };
 
 const GRAPH: &str = "gpt.onnx";
@@ -126,9 +128,15 @@ impl Gpt {
     ///
     /// # Errors
     /// [`ModelError::Graph`], [`ModelError::Mismatch`] or [`ModelError::Runtime`].
-    pub fn open(path: &Path, manifest: &Manifest, threads: usize) -> Result<Self, ModelError> {
+    pub(super) fn open(
+        path: &Path,
+        manifest: &Manifest,
+        device: Device,
+        threads: usize,
+    ) -> Result<Self, ModelError> {
         // Steps have one shape per number of sequences, prefills one per number of steps.
-        let graph = Graph::open(GRAPH, path, threads, true)?;
+        let options = SessionOptions { device, threads, keeps_memory: true };
+        let graph = Graph::open(GRAPH, path, options)?;
         let spec = manifest.gpt;
         let names = CacheNames::new(spec.layers);
         let inputs = ["upper", "lower", "music", "positions", "attention_bias"];

@@ -16,6 +16,8 @@
 mod batch_tests;
 mod beats;
 mod cache;
+mod cuda;
+mod device;
 mod directory;
 mod embedded;
 mod error;
@@ -32,6 +34,7 @@ mod vqvae;
 
 pub use beats::{BeatActivations, BeatNetwork};
 pub use cache::KvCache;
+pub use device::Device;
 pub use directory::{ModelDirectory, file_sha256};
 pub use error::ModelError;
 pub use gpt::{Gpt, Logits, NextStep, Steps};

@@ -17,22 +17,31 @@ pub const LIBRARY_VARIABLE: &str = "ORT_DYLIB_PATH";
 /// Folder of the project that `scripts/fetch-onnxruntime.sh` unpacks the library into.
 const PROJECT_FOLDER: &str = ".onnxruntime/lib";
 
-/// The process-wide ONNX Runtime environment; the library is loaded on first use.
-pub(super) fn environment() -> Result<&'static Environment, ModelError> {
-    static ENVIRONMENT: OnceLock<Result<Environment, String>> = OnceLock::new();
-    ENVIRONMENT.get_or_init(load).as_ref().map_err(|problem| ModelError::Runtime(problem.clone()))
+/// ONNX Runtime as it was loaded.
+#[derive(Debug)]
+pub(super) struct Runtime {
+    pub(super) environment: Environment,
+    /// The file, or a bare name where the system's loader found it.
+    pub(super) library: PathBuf,
 }
 
-fn load() -> Result<Environment, String> {
+/// The process-wide ONNX Runtime; the library is loaded on first use.
+pub(super) fn runtime() -> Result<&'static Runtime, ModelError> {
+    static RUNTIME: OnceLock<Result<Runtime, String>> = OnceLock::new();
+    RUNTIME.get_or_init(load).as_ref().map_err(|problem| ModelError::Runtime(problem.clone()))
+}
+
+fn load() -> Result<Runtime, String> {
     let library = find_library()?;
     // `init_from` first: ort's lazy path panics when the library is missing.
-    ort::environment::init_from(&library)
+    let environment = ort::environment::init_from(&library)
         .map_err(|error| not_loaded(&library, &error))?
         .with_name("bailando")
         .with_telemetry(false)
         .with_logger(Arc::new(log))
         .build()
-        .map_err(|e| e.to_string())
+        .map_err(|e| e.to_string())?;
+    Ok(Runtime { environment, library })
 }
 
 /// Says why the library was not loaded, and what to do where the system's loader, asked for the

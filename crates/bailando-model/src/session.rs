@@ -9,10 +9,21 @@ use ort::{
     value::{DynValue, Tensor},
 };
 
-use super::{ModelError, embedded, runtime};
+use super::{Device, ModelError, cuda, embedded, runtime};
 
 /// Named inputs of a run.
 pub(super) type Inputs<'value> = Vec<(String, SessionInputValue<'value>)>;
+
+/// How a graph is run.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SessionOptions {
+    pub(super) device: Device,
+    /// Threads of the processor that one node is computed with.
+    pub(super) threads: usize,
+    /// Whether the memory of a run is kept for the next: it suits few shapes, and would grow with
+    /// many.
+    pub(super) keeps_memory: bool,
+}
 
 /// A loaded graph.
 #[derive(Debug)]
@@ -22,24 +33,23 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Loads the graph at `path`; `name` appears in errors. With `keeps_memory`, the memory of a
-    /// run is kept for the next: it suits few shapes, and would grow with many.
+    /// Loads the graph at `path`; `name` appears in errors.
     pub(super) fn open(
         name: &'static str,
         path: &Path,
-        threads: usize,
-        keeps_memory: bool,
+        options: SessionOptions,
     ) -> Result<Self, ModelError> {
         embedded::check(path)?;
         let failed = |problem| ModelError::Graph { path: path.to_path_buf(), problem };
-        let session = builder(threads, keeps_memory)?.commit_from_file(path);
+        let session = builder(options)?.commit_from_file(path);
         Ok(Self { name, session: session.map_err(|e| failed(one_line(&e)))? })
     }
 
     /// Loads a graph that is part of the program.
     pub(super) fn built_in(name: &'static str, bytes: &'static [u8]) -> Result<Self, ModelError> {
         let failed = |problem| ModelError::Graph { path: name.into(), problem };
-        let session = builder(1, true)?.commit_from_memory(bytes);
+        let options = SessionOptions { device: Device::Cpu, threads: 1, keeps_memory: true };
+        let session = builder(options)?.commit_from_memory(bytes);
         Ok(Self { name, session: session.map_err(|e| failed(one_line(&e)))? })
     }
 
@@ -76,10 +86,17 @@ impl Graph {
 }
 
 /// The settings of all sessions.
-fn builder(threads: usize, keeps_memory: bool) -> Result<SessionBuilder, ModelError> {
-    let environment = runtime::environment()?;
+fn builder(options: SessionOptions) -> Result<SessionBuilder, ModelError> {
+    let SessionOptions { device, threads, keeps_memory } = options;
+    let runtime = runtime::runtime()?;
+    let failed = |error: ort::Error| ModelError::Runtime(one_line(&error));
+    let mut builder = Session::builder(&runtime.environment).map_err(failed)?;
+    // Providers take the nodes that they can run in the order of their registration.
+    if let Device::Cuda { index } = device {
+        cuda::register(&mut builder, index, &runtime.library)?;
+    }
     let build = || -> ort::Result<SessionBuilder> {
-        Ok(Session::builder(environment)?
+        Ok(builder
             .with_intra_threads(threads)?
             .with_inter_threads(1)?
             .with_memory_pattern(keeps_memory)?
@@ -90,7 +107,7 @@ fn builder(threads: usize, keeps_memory: bool) -> Result<SessionBuilder, ModelEr
                 .with_arena_allocator(keeps_memory)
                 .build()])?)
     };
-    build().map_err(|e| ModelError::Runtime(one_line(&e)))
+    build().map_err(failed)
 }
 
 /// A tensor of 64-bit integers, `[rows, n]`.

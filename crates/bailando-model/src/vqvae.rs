@@ -5,8 +5,8 @@ use std::path::Path;
 use ndarray::{Array2, Array3, ArrayView2, Axis, Slice};
 
 use super::{
-    Manifest, ModelError,
-    session::{Graph, floats, integers, one_line, take, take_matrices},
+    Device, Manifest, ModelError,
+    session::{Graph, SessionOptions, floats, integers, one_line, take, take_matrices},
 };
 
 const DECODER: &str = "decoder.onnx";
@@ -25,8 +25,14 @@ impl Decoder {
     ///
     /// # Errors
     /// [`ModelError::Graph`], [`ModelError::Mismatch`] or [`ModelError::Runtime`].
-    pub fn open(path: &Path, manifest: &Manifest, threads: usize) -> Result<Self, ModelError> {
-        let graph = Graph::open(DECODER, path, threads, false)?;
+    pub(super) fn open(
+        path: &Path,
+        manifest: &Manifest,
+        device: Device,
+        threads: usize,
+    ) -> Result<Self, ModelError> {
+        let options = SessionOptions { device, threads, keeps_memory: false };
+        let graph = Graph::open(DECODER, path, options)?;
         graph.expect_inputs(path, &["upper".to_owned(), "lower".to_owned()])?;
         Ok(Self {
             graph,
@@ -96,8 +102,14 @@ impl Encoder {
     ///
     /// # Errors
     /// [`ModelError::Graph`], [`ModelError::Mismatch`] or [`ModelError::Runtime`].
-    pub fn open(path: &Path, manifest: &Manifest, threads: usize) -> Result<Self, ModelError> {
-        let graph = Graph::open(ENCODER, path, threads, false)?;
+    pub(super) fn open(
+        path: &Path,
+        manifest: &Manifest,
+        device: Device,
+        threads: usize,
+    ) -> Result<Self, ModelError> {
+        let options = SessionOptions { device, threads, keeps_memory: false };
+        let graph = Graph::open(ENCODER, path, options)?;
         graph.expect_inputs(path, &["motion".to_owned()])?;
         Ok(Self {
             graph,

@@ -138,7 +138,7 @@ spec:
   {{- end }}
   containers:
     - name: bailando
-      image: "{{ $values.image.repository }}:{{ $values.image.tag | default .root.Chart.AppVersion }}"
+      image: "{{ $values.image.repository }}:{{ coalesce .own.tag $values.image.tag .root.Chart.AppVersion }}"
       imagePullPolicy: {{ $values.image.pullPolicy }}
       ports:
         - name: http

@@ -2,7 +2,7 @@
 
 use std::{num::NonZeroUsize, path::PathBuf};
 
-use bailando::{formats::OutputFormat, options::RequestOptions};
+use bailando::{formats::OutputFormat, model::Device, options::RequestOptions};
 
 /// Make dances for a catalogue of songs; run again, it makes what is missing
 #[derive(Debug, clap::Args)]
@@ -38,6 +38,9 @@ pub(in crate::cli) struct BatchArgs {
     /// Model directory, without --server
     #[arg(long, env = "BAILANDO_MODEL_DIR", default_value = "models/default")]
     pub(super) model_dir: PathBuf,
+    /// What computes the model, without --server: cpu, cuda or cuda:N
+    #[arg(long, env = "BAILANDO_DEVICE", default_value_t = Device::Cpu)]
+    pub(super) device: Device,
     /// Threads that compute one step of the model, without --server [default: all cores]
     #[arg(long, env = "BAILANDO_THREADS")]
     pub(super) threads: Option<NonZeroUsize>,

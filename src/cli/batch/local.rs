@@ -22,6 +22,7 @@ impl Local {
     pub(super) fn open(args: &BatchArgs) -> anyhow::Result<Self> {
         let defaults = EngineConfig::new(&args.model_dir);
         let engine = Engine::open(&EngineConfig {
+            device: args.device,
             threads: args.threads.map_or(defaults.threads, NonZeroUsize::get),
             batch: defaults.batch.max(2 * MAX_CANDIDATES),
             queue: args.at_once.get(),

@@ -19,7 +19,10 @@ pub use self::{
     storage::{Role, StorageConfig, StorageError},
     units::{ByteSize, Seconds},
 };
-use crate::engine::{EngineConfig, Observer};
+use crate::{
+    engine::{EngineConfig, Observer},
+    model::Device,
+};
 
 /// API keys, allowed origins, and whether people find a page.
 #[derive(Clone, Debug, Default)]
@@ -50,6 +53,10 @@ pub struct ServerConfig {
         default_value_os_t = ServerConfig::default().model_dir
     )]
     pub model_dir: PathBuf,
+    /// What computes the model: cpu, or cuda or cuda:N for an NVIDIA GPU, which needs an ONNX
+    /// Runtime library with CUDA (`scripts/fetch-onnxruntime.sh --cuda`)
+    #[arg(long, env = "BAILANDO_DEVICE", default_value_t = ServerConfig::default().device)]
+    pub device: Device,
     /// Threads that compute one step of the model [default: all cores]
     #[arg(long, env = "BAILANDO_THREADS")]
     pub threads: Option<NonZeroUsize>,
@@ -92,6 +99,7 @@ impl Default for ServerConfig {
             host: "127.0.0.1".to_owned(),
             port: 8080,
             model_dir: PathBuf::from("models/default"),
+            device: Device::Cpu,
             threads: None,
             limits: Limits::default(),
             storage: StorageConfig::default(),
@@ -135,6 +143,7 @@ impl ServerConfig {
         let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
         EngineConfig {
             model_dir: self.model_dir.clone(),
+            device: self.device,
             threads: self.threads.map_or_else(cores, NonZeroUsize::get),
             batch: self.limits.batch.get(),
             // Only requests with a permit use the model.
