@@ -7,10 +7,11 @@
 # toolchain. The script then starts the result as the image says (user, environment, working folder,
 # command) in a read-only root, requests a dance, and measures it.
 #
-# Usage: scripts/rehearse-image.sh [--work DIR] [--song FILE] [--no-server]
-#   --work DIR    scratch folder, 3 GB (default: target/image-rehearsal)
-#   --song FILE   the song (default: tests/fixtures/audio/demo.mp3)
-#   --no-server   build and measure only
+# Usage: scripts/rehearse-image.sh [--work DIR] [--song FILE] [--device DEVICE] [--no-server]
+#   --work DIR       scratch folder, 3 GB, 9 GB for cuda (default: target/image-rehearsal)
+#   --song FILE      the song (default: tests/fixtures/audio/demo.mp3)
+#   --device DEVICE  the variant: cpu or cuda, whose server wants a GPU (default: cpu)
+#   --no-server      build and measure only
 # Needs root, Debian or Ubuntu, and: debootstrap buildah curl python3 cargo
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -20,6 +21,7 @@ debian_image=docker.io/library/debian:bookworm-slim
 image=localhost/bailando-rehearsal
 work=target/image-rehearsal
 song=tests/fixtures/audio/demo.mp3
+device=cpu
 try_server=true
 url=http://127.0.0.1:8080
 job= # the running server, as this shell's child
@@ -125,7 +127,7 @@ build_image() {
     say "Dockerfile"
     collect_settings
     storage bud --isolation chroot --pull-never --layers --format docker "${settings[@]}" \
-        --tag "$image" . 2>&1 | tee "$work/build.log"
+        --build-arg DEVICE="$device" --tag "$image" . 2>&1 | tee "$work/build.log"
 }
 
 # Prints the items of a Python expression over the image's configuration, one on each line.
@@ -266,6 +268,7 @@ while [ $# -gt 0 ]; do
     case "$1" in
     --work) work=${2:?--work needs a folder} && shift 2 ;;
     --song) song=${2:?--song needs a file} && shift 2 ;;
+    --device) device=${2:?--device needs one} && shift 2 ;;
     --no-server) try_server=false && shift ;;
     *) fail "unknown option '$1'." ;;
     esac

@@ -25,8 +25,8 @@ struct Sequence {
 }
 
 fn graph(name: &'static str) -> Graph {
-    let options = SessionOptions { device: Device::Cpu, threads: 1, keeps_memory: false };
-    Graph::open(name, &tiny().join(format!("{name}.onnx")), options).unwrap()
+    let options = SessionOptions { device: Device::Cpu, threads: 1 };
+    Graph::open(name, &tiny().join(format!("{name}.onnx")), options, false).unwrap()
 }
 
 fn golden(name: &str) -> std::path::PathBuf {

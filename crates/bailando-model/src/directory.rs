@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 
 use super::{
     Decoder, Device, Encoder, Gpt, Manifest, ModelError, STYLES_FILE, StyleClassifier,
-    installed::model_directory,
+    installed::model_directory, session::SessionOptions,
 };
 
 /// Largest `manifest.json` and `styles.json` that is read.
@@ -94,13 +94,17 @@ impl ModelDirectory {
         Ok(Some(classifier))
     }
 
+    fn session(&self, threads: usize) -> SessionOptions {
+        SessionOptions { device: self.device, threads }
+    }
+
     /// Loads the motion GPT.
     ///
     /// # Errors
     /// [`ModelError::Graph`], [`ModelError::Mismatch`], [`ModelError::Device`] or
     /// [`ModelError::Runtime`].
     pub fn gpt(&self, threads: usize) -> Result<Gpt, ModelError> {
-        Gpt::open(&self.root.join("gpt.onnx"), &self.manifest, self.device, threads)
+        Gpt::open(&self.root.join("gpt.onnx"), &self.manifest, self.session(threads))
     }
 
     /// Loads the decoder.
@@ -109,7 +113,7 @@ impl ModelDirectory {
     /// [`ModelError::Graph`], [`ModelError::Mismatch`], [`ModelError::Device`] or
     /// [`ModelError::Runtime`].
     pub fn decoder(&self, threads: usize) -> Result<Decoder, ModelError> {
-        Decoder::open(&self.root.join("decoder.onnx"), &self.manifest, self.device, threads)
+        Decoder::open(&self.root.join("decoder.onnx"), &self.manifest, self.session(threads))
     }
 
     /// Loads the encoder.
@@ -118,7 +122,7 @@ impl ModelDirectory {
     /// [`ModelError::Graph`], [`ModelError::Mismatch`], [`ModelError::Device`] or
     /// [`ModelError::Runtime`].
     pub fn encoder(&self, threads: usize) -> Result<Encoder, ModelError> {
-        Encoder::open(&self.root.join("encoder.onnx"), &self.manifest, self.device, threads)
+        Encoder::open(&self.root.join("encoder.onnx"), &self.manifest, self.session(threads))
     }
 }
 

@@ -9,7 +9,7 @@ use ort::{
 };
 
 use super::{
-    Device, Manifest, ModelError,
+    Manifest, ModelError,
     cache::{KvCache, RowShape, STREAMS},
     session::{
         Graph, Inputs, SessionOptions, floats, integers, one_line, take, take_matrices, tensor,
@@ -131,12 +131,10 @@ impl Gpt {
     pub(super) fn open(
         path: &Path,
         manifest: &Manifest,
-        device: Device,
-        threads: usize,
+        options: SessionOptions,
     ) -> Result<Self, ModelError> {
         // Steps have one shape per number of sequences, prefills one per number of steps.
-        let options = SessionOptions { device, threads, keeps_memory: true };
-        let graph = Graph::open(GRAPH, path, options)?;
+        let graph = Graph::open(GRAPH, path, options, true)?;
         let spec = manifest.gpt;
         let names = CacheNames::new(spec.layers);
         let inputs = ["upper", "lower", "music", "positions", "attention_bias"];

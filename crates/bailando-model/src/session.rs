@@ -20,9 +20,6 @@ pub(super) struct SessionOptions {
     pub(super) device: Device,
     /// Threads of the processor that one node is computed with.
     pub(super) threads: usize,
-    /// Whether the memory of a run is kept for the next: it suits few shapes, and would grow with
-    /// many.
-    pub(super) keeps_memory: bool,
 }
 
 /// A loaded graph.
@@ -33,23 +30,25 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Loads the graph at `path`; `name` appears in errors.
+    /// Loads the graph at `path`; `name` appears in errors. With `keeps_memory`, the memory of a
+    /// run is kept for the next: it suits few shapes, and would grow with many.
     pub(super) fn open(
         name: &'static str,
         path: &Path,
         options: SessionOptions,
+        keeps_memory: bool,
     ) -> Result<Self, ModelError> {
         embedded::check(path)?;
         let failed = |problem| ModelError::Graph { path: path.to_path_buf(), problem };
-        let session = builder(options)?.commit_from_file(path);
+        let session = builder(options, keeps_memory)?.commit_from_file(path);
         Ok(Self { name, session: session.map_err(|e| failed(one_line(&e)))? })
     }
 
     /// Loads a graph that is part of the program.
     pub(super) fn built_in(name: &'static str, bytes: &'static [u8]) -> Result<Self, ModelError> {
         let failed = |problem| ModelError::Graph { path: name.into(), problem };
-        let options = SessionOptions { device: Device::Cpu, threads: 1, keeps_memory: true };
-        let session = builder(options)?.commit_from_memory(bytes);
+        let options = SessionOptions { device: Device::Cpu, threads: 1 };
+        let session = builder(options, true)?.commit_from_memory(bytes);
         Ok(Self { name, session: session.map_err(|e| failed(one_line(&e)))? })
     }
 
@@ -86,8 +85,8 @@ impl Graph {
 }
 
 /// The settings of all sessions.
-fn builder(options: SessionOptions) -> Result<SessionBuilder, ModelError> {
-    let SessionOptions { device, threads, keeps_memory } = options;
+fn builder(options: SessionOptions, keeps_memory: bool) -> Result<SessionBuilder, ModelError> {
+    let SessionOptions { device, threads } = options;
     let runtime = runtime::runtime()?;
     let failed = |error: ort::Error| ModelError::Runtime(one_line(&error));
     let mut builder = Session::builder(&runtime.environment).map_err(failed)?;

@@ -5,7 +5,7 @@ use std::path::Path;
 use ndarray::{Array2, Array3, ArrayView2, Axis, Slice};
 
 use super::{
-    Device, Manifest, ModelError,
+    Manifest, ModelError,
     session::{Graph, SessionOptions, floats, integers, one_line, take, take_matrices},
 };
 
@@ -28,11 +28,9 @@ impl Decoder {
     pub(super) fn open(
         path: &Path,
         manifest: &Manifest,
-        device: Device,
-        threads: usize,
+        options: SessionOptions,
     ) -> Result<Self, ModelError> {
-        let options = SessionOptions { device, threads, keeps_memory: false };
-        let graph = Graph::open(DECODER, path, options)?;
+        let graph = Graph::open(DECODER, path, options, false)?;
         graph.expect_inputs(path, &["upper".to_owned(), "lower".to_owned()])?;
         Ok(Self {
             graph,
@@ -105,11 +103,9 @@ impl Encoder {
     pub(super) fn open(
         path: &Path,
         manifest: &Manifest,
-        device: Device,
-        threads: usize,
+        options: SessionOptions,
     ) -> Result<Self, ModelError> {
-        let options = SessionOptions { device, threads, keeps_memory: false };
-        let graph = Graph::open(ENCODER, path, options)?;
+        let graph = Graph::open(ENCODER, path, options, false)?;
         graph.expect_inputs(path, &["motion".to_owned()])?;
         Ok(Self {
             graph,

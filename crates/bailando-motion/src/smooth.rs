@@ -1,5 +1,10 @@
 //! Smooth curves: above a jagged one, and from one value to another.
 
+use std::{
+    iter::Sum,
+    ops::{Div, Mul},
+};
+
 use glam::DVec3;
 
 /// Returns a curve nowhere below `values`, free of jumps, that departs from zero at most `2 *
@@ -15,36 +20,36 @@ pub(crate) fn smooth_upper_bound(values: &[f64], half_width: usize) -> Vec<f64> 
 /// Returns the sample `index` of [`smooth_upper_bound`], which depends on the `2 * half_width`
 /// values on either side of it.
 pub(crate) fn smooth_upper_bound_at(values: &[f64], half_width: usize, index: usize) -> f64 {
-    let near = |index: usize| {
-        let end = values.len().min(index + half_width + 1);
-        index.saturating_sub(half_width)..end
-    };
-    let highest_near = |index| values[near(index)].iter().copied().fold(f64::MIN, f64::max);
-    let weighted = near(index).map(|other| {
-        let weight = (half_width + 1 - other.abs_diff(index)) as f64;
-        (weight, weight * highest_near(other))
-    });
-    let (weight, sum) = weighted.fold((0.0, 0.0), |(w, s), (a, b)| (w + a, s + b));
-    sum / weight
+    let highest = |near: &[f64]| near.iter().copied().fold(f64::MIN, f64::max);
+    smooth_at(values, half_width, index, highest)
 }
 
 /// Returns the sample `index` of a curve without jumps that follows the longest of `values` near
 /// each sample: like [`smooth_upper_bound_at`], of vectors. Where their direction changes it is
 /// shorter than they are.
 pub(crate) fn smooth_largest_at(values: &[DVec3], half_width: usize, index: usize) -> DVec3 {
-    let near = |index: usize, reach: usize| {
-        index.saturating_sub(reach)..values.len().min(index + reach + 1)
-    };
-    if values[near(index, 2 * half_width)].iter().all(|&value| value == DVec3::ZERO) {
+    let reach = 2 * half_width;
+    let whole = index.saturating_sub(reach)..values.len().min(index + reach + 1);
+    if values[whole].iter().all(|&value| value == DVec3::ZERO) {
         return DVec3::ZERO;
     }
     let longer = |a: DVec3, b: &DVec3| if b.length_squared() > a.length_squared() { *b } else { a };
-    let (mut sum, mut weights) = (DVec3::ZERO, 0.0);
-    for other in near(index, half_width) {
-        let weight = (half_width + 1 - other.abs_diff(index)) as f64;
-        sum += values[near(other, half_width)].iter().fold(DVec3::ZERO, longer) * weight;
-        weights += weight;
-    }
+    smooth_at(values, half_width, index, |near| near.iter().fold(DVec3::ZERO, longer))
+}
+
+/// Returns the mean, weighted as a triangle around `index`, of what `pick` takes of the values near
+/// each sample.
+fn smooth_at<T>(values: &[T], half_width: usize, index: usize, pick: impl Fn(&[T]) -> T) -> T
+where
+    T: Sum + Mul<f64, Output = T> + Div<f64, Output = T>,
+{
+    let near = |index: usize| {
+        let end = values.len().min(index + half_width + 1);
+        index.saturating_sub(half_width)..end
+    };
+    let weight = |other: usize| (half_width + 1 - other.abs_diff(index)) as f64;
+    let weights: f64 = near(index).map(weight).sum();
+    let sum: T = near(index).map(|other| pick(&values[near(other)]) * weight(other)).sum();
     sum / weights
 }
 
