@@ -10,7 +10,8 @@ use ort::{session::SessionOutputs, value::DynValue};
 
 use super::{
     ModelError,
-    session::{Graph, floats, one_line, take},
+    error::one_line,
+    session::{Graph, floats, take},
 };
 use bailando_core::CancelToken;
 use bailando_features::{BeatFinder, FeatureError, SongBeats};

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use ort::value::TensorRef;
 
-use super::{ModelError, session::one_line};
+use super::{ModelError, error::one_line};
 
 /// Streams of tokens: music, upper, lower.
 pub(super) const STREAMS: usize = 3;

@@ -15,7 +15,7 @@ use ort::{
     util::preload_dylib,
 };
 
-use super::{Device, ModelError, runtime, session::one_line};
+use super::{Device, ModelError, error::one_line, runtime};
 
 /// Puts the CUDA provider ahead of whatever `builder` gets later.
 ///
@@ -26,7 +26,8 @@ pub(super) fn register(
     index: u16,
     library: &Path,
 ) -> Result<(), ModelError> {
-    let refused = |problem| ModelError::Device { device: Device::Cuda { index }, problem };
+    let device = Device::Cuda { index };
+    let refused = |problem| ModelError::Device { device: device.to_string(), problem };
     match ep::CUDA::is_available() {
         Ok(true) => {}
         Ok(false) => return Err(refused(no_provider(library))),

@@ -1,8 +1,6 @@
 //! What can be wrong with a model directory or with ONNX Runtime.
 
-use std::path::PathBuf;
-
-use super::Device;
+use std::{fmt, path::PathBuf};
 
 /// What can be wrong with a model directory or with ONNX Runtime. Messages are one line.
 #[derive(Debug, thiserror::Error)]
@@ -53,8 +51,8 @@ pub enum ModelError {
     /// A device cannot be used.
     #[error("{device}: {problem}")]
     Device {
-        /// The device.
-        device: Device,
+        /// The device, as it was asked for.
+        device: String,
         /// Why, and what to do.
         problem: String,
     },
@@ -92,4 +90,9 @@ pub enum ModelError {
         /// What was given.
         got: String,
     },
+}
+
+/// ONNX Runtime's reasons run over several lines; ours are one.
+pub(super) fn one_line(error: &impl fmt::Display) -> String {
+    error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }

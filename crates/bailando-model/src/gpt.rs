@@ -11,9 +11,8 @@ use ort::{
 use super::{
     Manifest, ModelError,
     cache::{KvCache, RowShape, STREAMS},
-    session::{
-        Graph, Inputs, SessionOptions, floats, integers, one_line, take, take_matrices, tensor,
-    },
+    error::one_line,
+    session::{Graph, Inputs, SessionOptions, floats, integers, take, take_matrices, tensor},
 };
 
 const GRAPH: &str = "gpt.onnx";

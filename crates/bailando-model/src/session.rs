@@ -1,6 +1,6 @@
 //! One ONNX session and its runs.
 
-use std::{fmt, path::Path};
+use std::path::Path;
 
 use ndarray::{Array3, ArrayView, Dimension, Ix3};
 use ort::{
@@ -9,7 +9,7 @@ use ort::{
     value::{DynValue, Tensor},
 };
 
-use super::{Device, ModelError, cuda, embedded, runtime};
+use super::{Device, ModelError, cuda, embedded, error::one_line, runtime};
 
 /// Named inputs of a run.
 pub(super) type Inputs<'value> = Vec<(String, SessionInputValue<'value>)>;
@@ -166,9 +166,4 @@ pub(super) fn take_matrices(
         return Err(wrong(problem));
     }
     Ok(array.to_owned())
-}
-
-/// ONNX Runtime's reasons run over several lines; ours are one.
-pub(super) fn one_line(error: &impl fmt::Display) -> String {
-    error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -6,7 +6,8 @@ use ndarray::{Array2, Array3, ArrayView2, Axis, Slice};
 
 use super::{
     Manifest, ModelError,
-    session::{Graph, SessionOptions, floats, integers, one_line, take, take_matrices},
+    error::one_line,
+    session::{Graph, SessionOptions, floats, integers, take, take_matrices},
 };
 
 const DECODER: &str = "decoder.onnx";
