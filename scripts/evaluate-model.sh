@@ -7,6 +7,8 @@
 #   MODEL  model directory           (default models/default)
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
 #   OUT    where dances and the plot go                       (default target/evaluation)
+# A model with styles is asked for the style of each piece; STYLES_FROM are data folders, separated by
+# spaces, whose training recordings teach what tells the styles of the dances.
 # BAILANDO and BAILANDO_TRAIN name the binaries (default target/release/bailando and
 # bailando-train), SEEDS is the number of motions for every song of the test split (default 3).
 set -euo pipefail
@@ -18,28 +20,33 @@ out=${3:-target/evaluation}
 bailando=${BAILANDO:-target/release/bailando}
 trainer=${BAILANDO_TRAIN:-target/release/bailando-train}
 seeds=${SEEDS:-3}
+read -ra styles_from <<< "${STYLES_FROM:-}"
 
 mkdir -p "$out"
 pieces() {
     python3 -c 'import json, sys
 for piece in json.load(open(sys.argv[1]))["pieces"]:
     if piece["split"] == "test":
-        print(piece["id"], piece["audio"])' "$data/index.json"
+        print(piece["id"], piece["audio"], piece.get("style", ""))' "$data/index.json"
 }
+has_styles=$(python3 -c 'import json, sys
+print("yes" if json.load(open(sys.argv[1])).get("styles") else "")' "$model/manifest.json")
 
-# dance SONG OUT SEED
+# dance SONG OUT SEED [STYLE]
 dance() {
+    local style=()
+    [ -z "$has_styles" ] || [ -z "${4:-}" ] || style=(--style "$4")
     "$bailando" generate "$1" -o "$2" --model-dir "$model" --music false --seed "$3" --threads 1 \
-        > "$out/generate.log" 2>&1 || { cat "$out/generate.log" >&2; exit 1; }
+        "${style[@]}" > "$out/generate.log" 2>&1 || { cat "$out/generate.log" >&2; exit 1; }
 }
 
 rm -rf "$out/dances"
 for ((seed = 1; seed <= seeds; seed++)); do
     mkdir -p "$out/dances/seed$seed"
     number=0
-    while read -r id audio; do
+    while read -r id audio style; do
         number=$((number + 1))
-        dance "$data/$audio" "$out/dances/seed$seed/$id.json" $((seed * 1000 + number))
+        dance "$data/$audio" "$out/dances/seed$seed/$id.json" $((seed * 1000 + number)) "$style"
     done < <(pieces)
 done
 measure() {
@@ -50,7 +57,8 @@ measure_test() {
 }
 
 printf '## Dances\n\n'
-measure_test --generated "$out/dances" --seeds "$seeds" --plot "$out/evaluation.svg"
+measure_test --generated "$out/dances" --seeds "$seeds" --plot "$out/evaluation.svg" \
+    "${styles_from[@]/#/--styles-from=}"
 
 rm -rf "$out/encoded" "$out/reconstructed"
 "$trainer" encode "$data" --model-dir "$model" --out "$out/encoded" --reconstruct > "$out/encode.log"

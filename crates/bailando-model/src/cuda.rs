@@ -1,7 +1,6 @@
 //! The CUDA execution provider of ONNX Runtime, and what it needs to be loaded.
 
 use std::{
-    error::Error,
     path::{Path, PathBuf},
     sync::OnceLock,
 };
@@ -15,7 +14,11 @@ use ort::{
     util::preload_dylib,
 };
 
-use super::{Device, ModelError, error::one_line, runtime};
+use super::{
+    Device, ModelError,
+    error::{loader_reason, one_line},
+    runtime,
+};
 
 /// Puts the CUDA provider ahead of whatever `builder` gets later.
 ///
@@ -60,16 +63,11 @@ fn no_provider(library: &Path) -> String {
 fn preload(library: &Path) -> Result<(), String> {
     static PRELOADED: OnceLock<Result<(), String>> = OnceLock::new();
     let load = || {
-        beside(library)
-            .iter()
-            .try_for_each(|path| preload_dylib(path).map_err(|error| explain(&reason(&error))))
+        beside(library).iter().try_for_each(|path| {
+            preload_dylib(path).map_err(|error| explain(&loader_reason(&error)))
+        })
     };
     PRELOADED.get_or_init(load).clone()
-}
-
-/// The loader's own words: the error itself only says that it is one.
-fn reason(error: &dyn Error) -> String {
-    error.source().map_or_else(|| one_line(&error), |source| one_line(&source))
 }
 
 /// CUDA libraries in the folder of `library`, each after those that it needs. A bare name has no

@@ -1,6 +1,6 @@
 //! What can be wrong with a model directory or with ONNX Runtime.
 
-use std::{fmt, path::PathBuf};
+use std::{error::Error, fmt, path::PathBuf};
 
 /// What can be wrong with a model directory or with ONNX Runtime. Messages are one line.
 #[derive(Debug, thiserror::Error)]
@@ -95,4 +95,9 @@ pub enum ModelError {
 /// ONNX Runtime's reasons run over several lines; ours are one.
 pub(super) fn one_line(error: &impl fmt::Display) -> String {
     error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// The system's loader in its own words: the error itself only says that it is one.
+pub(super) fn loader_reason(error: &dyn Error) -> String {
+    error.source().map_or_else(|| one_line(&error), |source| one_line(&source))
 }

@@ -2,14 +2,13 @@
 
 use std::{
     env::{self, consts},
-    error::Error,
     path::{Path, PathBuf},
     sync::{Arc, OnceLock},
 };
 
 use ort::{LoadDynamicError, environment::Environment, logging::LogLevel};
 
-use super::{ModelError, installed::python_library};
+use super::{ModelError, error::loader_reason, installed::python_library};
 
 /// Environment variable that names the library file, ahead of every other place.
 pub const LIBRARY_VARIABLE: &str = "ORT_DYLIB_PATH";
@@ -50,9 +49,7 @@ fn not_loaded(library: &Path, error: &LoadDynamicError) -> String {
     let LoadDynamicError::Dlopen { error, .. } = error else {
         return error.to_string();
     };
-    // The error itself only says that it is one.
-    let reason = error.source().map(ToString::to_string);
-    let reason = reason.unwrap_or_else(|| error.to_string());
+    let reason = loader_reason(error);
     match library == Path::new(&file_name()) {
         true => not_found(&reason),
         false => reason,
