@@ -81,6 +81,7 @@ struct Columns {
     profile: Profile,
     count_periods: Vec<u32>,
     counts: CountSource,
+    counts_late_s: f64,
 }
 
 impl FeaturesArgs {
@@ -93,6 +94,7 @@ impl FeaturesArgs {
                 profile: features.profile,
                 count_periods: features.count_periods.clone(),
                 counts: features.counts,
+                counts_late_s: features.counts_late_s,
             });
         }
         let rate = match self.rate {
@@ -112,7 +114,8 @@ impl FeaturesArgs {
             CountsArg::Librosa => CountSource::Librosa,
             CountsArg::Beatnet => CountSource::Beatnet,
         };
-        Ok(Columns { rate, profile, count_periods: self.count_periods.clone(), counts })
+        let count_periods = self.count_periods.clone();
+        Ok(Columns { rate, profile, count_periods, counts, counts_late_s: 0.0 })
     }
 }
 
@@ -122,7 +125,7 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
         let output = args.output.display();
         return Err(Usage(format!("{output}: features are written as NumPy files, .npy")).into());
     }
-    let Columns { rate, profile, count_periods, counts } = args.columns()?;
+    let Columns { rate, profile, count_periods, counts, counts_late_s } = args.columns()?;
     let name = || args.audio.display().to_string();
     let song = read_file(&args.audio)?;
     // No shortest length here: the features have their own.
@@ -161,7 +164,7 @@ pub(super) fn run(args: &FeaturesArgs) -> anyhow::Result<()> {
                 BeatPhase::of(&song.with_context(name)?, rows.view())
             }
         };
-        rows = with_counts(rows, phase.as_ref(), 0.0, &count_periods);
+        rows = with_counts(rows, phase.as_ref(), -counts_late_s, &count_periods);
     }
     let output = args.output.display();
     ndarray_npy::write_npy(&args.output, &rows).with_context(|| output.to_string())?;

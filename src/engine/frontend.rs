@@ -204,7 +204,8 @@ impl AudioFrontend {
         };
         let form = counts.as_ref().filter(|_| selection.form);
         let form = form.map(|counts| Form::of(rows.view(), counts)).unwrap_or_default();
-        let rows = with_counts(rows, counts.as_ref(), 0.0, &self.spec.count_periods);
+        let FeatureSpec { counts_late_s, count_periods, .. } = &self.spec;
+        let rows = with_counts(rows, counts.as_ref(), -counts_late_s, count_periods);
         // Rows of librosa's beats and motion frames have one rate, which manifests are checked for.
         let beats = match (librosa, &beatnet) {
             (Some(beats), _) => beats.frames,
@@ -279,5 +280,36 @@ mod tests {
         assert_eq!(trackers(Beatnet, &[4], false, false, true), (false, true));
         let rates = Trackers { librosa: true, beatnet: true }.rates();
         assert_eq!(rates, [3_840, 30_720, 22_050]);
+    }
+
+    #[test]
+    fn counts_come_as_late_as_the_model_learned_them() {
+        let (_folder, directory) = directory();
+        let turn = |counts_late_s: f64| {
+            let spec = directory.manifest().features.clone();
+            let columns = crate::features::COLUMNS + 2;
+            let spec = FeatureSpec { counts_late_s, count_periods: vec![1], columns, ..spec };
+            let frontend =
+                AudioFrontend::new(spec, AudioLimits::default(), DecodeEffort::default());
+            // A beat, and a count, every 0.4 s.
+            let frames = (0..60).map(|beat| 24 * beat).collect();
+            let found = Found {
+                rows: Array2::zeros((100, crate::features::COLUMNS)),
+                librosa: Some(Beats { frames, ..Beats::default() }),
+                beatnet: None,
+            };
+            let selection = Selection {
+                range: AudioRange::default(),
+                longest: None,
+                music: false,
+                is_chosen: false,
+                form: false,
+            };
+            let rows = frontend.conditioning(found, selection).unwrap().features;
+            let row = rows.row(30);
+            f64::from(row[columns - 2].atan2(row[columns - 1])) / std::f64::consts::TAU
+        };
+        let later = (turn(0.0) - turn(0.05)).rem_euclid(1.0);
+        assert!((later - 0.05 / 0.4).abs() < 1e-5, "{later}");
     }
 }

@@ -233,6 +233,7 @@ fn manifest() -> Manifest {
             columns: 438,
             count_periods: Vec::new(),
             counts: CountSource::default(),
+            counts_late_s: 0.0,
         },
         styles: Vec::new(),
         energy: false,

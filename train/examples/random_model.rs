@@ -8,7 +8,7 @@ use std::{collections::BTreeMap, path::Path};
 use anyhow::Context;
 use bailando::{
     features::Profile,
-    model::{SuppressedCodes, WeightStorage},
+    model::{CountSource, SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
 use bailando_train::{
@@ -66,6 +66,7 @@ fn main() -> anyhow::Result<()> {
         licence: "MIT".into(),
         profile: Profile::Librosa011,
         count_periods: Vec::new(),
+        counts: CountSource::default(),
         styles: Vec::new(),
         energy: false,
         classifier: None,

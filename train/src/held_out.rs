@@ -59,8 +59,9 @@ pub(crate) fn pairs<S: SplitKind>(
     let manifest = directory.manifest();
     let cache = FeatureCache::open_or_default(cache)?;
     let features = &manifest.features;
-    let mut library =
-        MusicLibrary::new(cache, features.profile).with_count_periods(&features.count_periods);
+    let mut library = MusicLibrary::new(cache, features.profile)
+        .with_count_periods(&features.count_periods, features.counts)
+        .with_counts_later(features.counts_late_s);
     let mut encoder = directory.encoder(1)?;
     let mut pairs = Vec::new();
     for (place, dance) in portion.recordings().iter().enumerate() {

@@ -14,7 +14,7 @@ use crate::{
     held_out::{Predictor, Recordings, pairs},
 };
 
-/// Counts of half a bar.
+/// Beats of half a bar.
 const HALF_BAR: f64 = 2.0;
 
 /// What to measure.
@@ -43,6 +43,9 @@ pub struct MusicGap {
     pub one_count: Option<f64>,
     /// How much is added when the music comes half a bar early.
     pub half_bar: Option<f64>,
+    /// How much is added when the music comes half a count early: where a beat of the data is two
+    /// counts of the dancer, one of these.
+    pub half_count: Option<f64>,
 }
 
 impl fmt::Display for MusicGap {
@@ -52,6 +55,7 @@ impl fmt::Display for MusicGap {
         writeln!(f, "|---|---|")?;
         writeln!(f, "| its own | {:.4} |", self.right_music)?;
         writeln!(f, "| a song of another dance | {} |", gap(self.another_song))?;
+        writeln!(f, "| its own, half a count early | {} |", gap(self.half_count))?;
         writeln!(f, "| its own, one count early | {} |", gap(self.one_count))?;
         writeln!(f, "| its own, half a bar early | {} |", gap(self.half_bar))?;
         let (pieces, codes) = (self.pieces, self.codes);
@@ -83,7 +87,7 @@ fn measure<S: SplitKind>(
     let manifest = directory.manifest();
     let rows_a_second = manifest.codes_per_second();
     let mut predictor = Predictor::open(&directory)?;
-    let (mut right, mut gaps) = (Sum::default(), [Sum::default(); 3]);
+    let (mut right, mut gaps) = (Sum::default(), [Sum::default(); 4]);
     for (place, pair) in pairs.iter().enumerate() {
         let shifted = |counts: f64| {
             let seconds = counts * 60.0 / pair.bpm?;
@@ -98,7 +102,7 @@ fn measure<S: SplitKind>(
             .chain(before)
             .find(|other| other.dance != pair.dance && other.rows != pair.rows)
             .map(|other| other.rows.view());
-        let variants = [other, shifted(1.0), shifted(HALF_BAR)];
+        let variants = [other, shifted(1.0), shifted(HALF_BAR), shifted(0.5)];
         let own = predictor.entropies(pair, pair.rows.view())?;
         own.iter().for_each(|&entropy| right.add(entropy));
         for (gap, rows) in gaps.iter_mut().zip(variants) {
@@ -109,7 +113,8 @@ fn measure<S: SplitKind>(
             }
         }
     }
-    let [another_song, one_count, half_bar] = gaps.map(|gap| (gap.count > 0).then(|| gap.mean()));
+    let [another_song, one_count, half_bar, half_count] =
+        gaps.map(|gap| (gap.count > 0).then(|| gap.mean()));
     Ok(MusicGap {
         pieces: pairs.len(),
         codes: right.count,
@@ -117,6 +122,7 @@ fn measure<S: SplitKind>(
         another_song,
         one_count,
         half_bar,
+        half_count,
     })
 }
 

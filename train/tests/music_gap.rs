@@ -34,7 +34,7 @@ fn other_music_changes_what_is_foretold() {
     assert_eq!((gap.pieces, gap.codes), (3, CODES));
     // Random weights: about the logarithm of the vocabulary for each half.
     assert!(gap.right_music > 1.0 && gap.right_music < 40.0, "{gap}");
-    for gap in [gap.another_song, gap.one_count, gap.half_bar] {
+    for gap in [gap.another_song, gap.one_count, gap.half_bar, gap.half_count] {
         assert!(gap.unwrap().abs() > 1e-6, "the music made no difference");
     }
     let table = gap.to_string();

@@ -11,7 +11,9 @@ use crate::common::{
 };
 use bailando::{
     features::Profile,
-    model::{ModelDirectory, STATISTICS, StyleClassifier, SuppressedCodes, WeightStorage},
+    model::{
+        CountSource, ModelDirectory, STATISTICS, StyleClassifier, SuppressedCodes, WeightStorage,
+    },
     motion::MotionFrame,
 };
 use bailando_testkit::{
@@ -42,6 +44,7 @@ fn write_tiny_dancer(out: &Path) {
         name: "tiny dancer".into(),
         profile: Profile::Librosa011,
         count_periods: COUNT_PERIODS.into(),
+        counts: CountSource::default(),
         start_codes: vec![[8, 3], [0, 15], [11, 4]],
         suppressed_codes: SuppressedCodes { upper: vec![7], lower: vec![2, 9] },
         temperature: 1.0,
@@ -65,6 +68,7 @@ fn write_tiny_styles(out: &Path) {
         name: "tiny styles".into(),
         profile: Profile::Librosa011,
         count_periods: vec![4],
+        counts: CountSource::default(),
         styles: STYLES.map(str::to_owned).into(),
         energy: true,
         classifier: Some(classifier()),

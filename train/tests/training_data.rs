@@ -2,14 +2,16 @@
 
 use std::{
     collections::BTreeMap,
+    f64::consts::TAU,
     fs,
     path::{Path, PathBuf},
 };
 
 use crate::common::alone;
 use crate::testing::{FRAMES, TestFolder, clicks, dance};
+use bailando::{features::Profile, model::CountSource};
 use bailando_train::{
-    data::DataFolder,
+    data::{DataFolder, Dataset, FeatureCache, MusicLibrary, MusicSource, OpenOptions, Recording},
     export::skeleton,
     training::{Config, Limits, Load, MotionFrame, MotionSet, Outcome, Stage, export, train},
 };
@@ -142,6 +144,42 @@ fn two_folders_make_a_model_of_their_styles() {
     let third = of_style("glide", 20);
     config.data.folders[1].path = third.write().to_owned();
     assert!(refused(&config).contains("styles = [\"bounce\",\"sway\"]"));
+}
+
+#[test]
+fn a_model_of_the_networks_counts_is_served_with_them() {
+    let _alone = alone();
+    let folder = TestFolder::good(&skeleton(0.93));
+    let out = tempfile::tempdir().unwrap();
+    let mut config = config(folder.write(), out.path());
+    (config.data.counts, config.data.count_periods) = (CountSource::Beatnet, vec![1, 8]);
+    config.export.folder = out.path().join("model");
+    config.actor_critic.enabled = false;
+    run(&config);
+    let features = export(&config, false).unwrap().features;
+    assert_eq!((features.counts, features.count_periods), (CountSource::Beatnet, vec![1, 8]));
+
+    // What is heard of clicks is at the place of the count that the data say.
+    let music = MusicSource::Audio(folder.path("a.wav"));
+    let cache = FeatureCache::open(&config.data.cache).unwrap();
+    let mut heard = MusicLibrary::new(cache, Profile::Librosa011)
+        .with_count_periods(&[1], CountSource::Beatnet);
+    let rows = heard.conditioning(&music, 0).unwrap();
+    let dataset = Dataset::open(folder.write(), &OpenOptions::default()).unwrap();
+    let training = dataset.training().unwrap();
+    let mut known = training.recordings().iter().flat_map(Recording::known_counts);
+    let (_, told) = known.find(|(told, _)| **told == music).unwrap();
+    for row in [6, 12, 20] {
+        let angle = f64::from(rows[[row, 438]].atan2(rows[[row, 439]]));
+        let apart = angle / TAU - told.at(row as f64 / 7.5);
+        assert!((apart - apart.round()).abs() < 0.12, "row {row}: {apart}");
+    }
+    // Another share is another training.
+    config.data.heard_counts = 0.5;
+    let set = MotionSet::read(&config, Load::Music, &mut Vec::new()).unwrap();
+    let trained = train(Stage::Gpt, &config, &set, None, Limits::default(), &mut Vec::new());
+    let refused = trained.unwrap_err().to_string();
+    assert!(refused.contains("data.heard_counts = 0.0, now 0.5"), "{refused}");
 }
 
 #[test]

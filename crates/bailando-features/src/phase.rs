@@ -10,7 +10,10 @@ use ndarray::{Array2, ArrayView2, Axis, Slice};
 
 use crate::{
     beat::Beats,
-    beats::{SongBeats, counts::counts_of},
+    beats::{
+        SongBeats,
+        counts::{counts_of, octaves_above},
+    },
     layout::{CHROMA_COLUMNS, Rate},
     novelty::novelty,
 };
@@ -21,6 +24,8 @@ const SLOWEST_COUNT_BPM: f64 = 130.0;
 /// Counts of a bar, and of a phrase of two bars.
 const BAR: usize = 4;
 const PHRASE: usize = 8;
+/// Octaves by which a place in a phrase becomes its start.
+const MOST_OCTAVES: i32 = PHRASE.ilog2() as i32;
 /// Fewer beats have no regular distance.
 const MIN_BEATS: usize = 4;
 /// What a change of harmony weighs against an active first beat (BEATS, place in the phrase).
@@ -86,6 +91,31 @@ impl BeatPhase {
         Self::from_counts(counts_s, first_count(&evidence))
     }
 
+    /// Makes counts of beats that are known: their seconds, ascending, and the place of the first
+    /// within its bar or phrase. None below two beats, or where they do not ascend.
+    ///
+    /// ```
+    /// use bailando_features::BeatPhase;
+    ///
+    /// // 100 beats a minute are 200 counts: the third beat of a bar is its fifth count.
+    /// let beats_s: Vec<f64> = (0..20).map(|beat| f64::from(beat) * 0.6).collect();
+    /// let counts = BeatPhase::of_beats(&beats_s, 2).unwrap();
+    /// assert_eq!(counts.at(0.0), 4.0);
+    /// assert_eq!(counts.at(1.2), 8.0);
+    /// ```
+    #[must_use]
+    pub fn of_beats(beats_s: &[f64], place: usize) -> Option<Self> {
+        if !beats_s.windows(2).all(|pair| pair[0] < pair[1]) {
+            return None;
+        }
+        let octaves = octaves_above(beats_s)?;
+        let first = match octaves >= 0 {
+            true => (place % PHRASE) << octaves.min(MOST_OCTAVES),
+            false => (place % PHRASE) >> (-octaves).min(MOST_OCTAVES),
+        };
+        Self::from_counts(counts_of(beats_s), first)
+    }
+
     /// Takes counts that are known: their seconds, ascending, and the place of the first within its
     /// phrase of eight. None below two counts, or where they do not ascend.
     #[must_use]
@@ -93,6 +123,12 @@ impl BeatPhase {
         let ascends = counts_s.windows(2).all(|pair| pair[0] < pair[1]);
         let period_s = median_distance(&counts_s);
         (ascends && period_s > 0.0).then_some(Self { counts_s, period_s, first: first % PHRASE })
+    }
+
+    /// Returns the seconds of each count, ascending.
+    #[must_use]
+    pub fn counts_s(&self) -> &[f64] {
+        &self.counts_s
     }
 
     /// Returns the counts since the start of a phrase before the song, at `seconds` from the song's

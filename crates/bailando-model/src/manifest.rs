@@ -67,6 +67,9 @@ pub struct Manifest {
     pub training: BTreeMap<String, serde_json::Value>,
 }
 
+/// Most seconds by which counts are moved: less than the shortest half count.
+const MAX_LATE_S: f64 = 0.1;
+
 /// Which music features condition the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -86,6 +89,15 @@ pub struct FeatureSpec {
     /// The tracker whose counts these are; absent: that of the first models, `librosa`.
     #[serde(default, skip_serializing_if = "CountSource::is_librosa")]
     pub counts: CountSource,
+    /// Seconds by which the counts that the model was trained with came later than those of
+    /// `counts` do: these are moved by as much; absent: 0.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub counts_late_s: f64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+fn is_zero(number: &f64) -> bool {
+    *number == 0.0
 }
 
 /// A tracker of counts. A model follows those that it was trained with.
@@ -293,6 +305,12 @@ impl Manifest {
         // Counts are found with the current chain alone.
         if periods > 0 && features.profile != Profile::Librosa011 {
             return Err("features have count_periods, which need the profile librosa-0.11".into());
+        }
+        let late = features.counts_late_s;
+        if !(-MAX_LATE_S..=MAX_LATE_S).contains(&late) {
+            return Err(format!(
+                "features have counts_late_s of {late}, expected at most {MAX_LATE_S} either way"
+            ));
         }
         let columns = COLUMNS + 2 * periods;
         if features.sample_rate != rate.hz() || features.hop != HOP || features.columns != columns {

@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, path::PathBuf};
 
 use bailando::{
     features::Profile,
-    model::{SuppressedCodes, WeightStorage},
+    model::{CountSource, SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
 use clap::{
@@ -376,6 +376,7 @@ impl From<ImportArguments> for ImportOptions {
                 licence: arguments.licence,
                 profile: arguments.profile,
                 count_periods: Vec::new(),
+                counts: CountSource::default(),
                 styles: Vec::new(),
                 energy: false,
                 classifier: None,

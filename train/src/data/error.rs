@@ -39,6 +39,8 @@ pub enum DataError {
     Audio { path: PathBuf, source: AudioError },
     #[error("{}: {source}", path.display())]
     Features { path: PathBuf, source: FeatureError },
+    #[error("{}: beats: {problem}", path.display())]
+    Beats { path: PathBuf, problem: String },
     #[error("{}: {what}; with the audio file instead this can be computed", path.display())]
     StoredRows { path: PathBuf, what: &'static str },
     #[error(

@@ -4,6 +4,7 @@ use std::{
     collections::HashMap,
     ops::Range,
     path::{Path, PathBuf},
+    sync::Arc,
     time::Duration,
 };
 
@@ -13,10 +14,13 @@ use bailando::{
     features::{
         BEAT_COLUMN, BeatPhase, Beats, COLUMNS, FeatureExtractor, HOP, Profile, Rate, with_counts,
     },
+    model::CountSource,
 };
 use ndarray::Array2;
 
-use super::{DataError, FPS, FeatureCache, FeatureKey, MusicSource, files, json};
+use super::{
+    DataError, FPS, FeatureCache, FeatureKey, MusicSource, files, json, tracker::CountTracker,
+};
 
 /// Computes, caches and hands out music rows of one profile.
 pub struct MusicLibrary {
@@ -25,19 +29,49 @@ pub struct MusicLibrary {
     extractors: HashMap<u32, FeatureExtractor>,
     computed: usize,
     count_periods: Vec<u32>,
+    counts_late_s: f64,
+    tracker: CountTracker,
+    known: Arc<KnownCounts>,
 }
+
+/// Counts of songs whose beats the data say.
+pub type KnownCounts = HashMap<MusicSource, BeatPhase>;
 
 impl MusicLibrary {
     /// A library over a cache folder.
     #[must_use]
     pub fn new(cache: FeatureCache, profile: Profile) -> Self {
-        Self { cache, profile, extractors: HashMap::new(), computed: 0, count_periods: Vec::new() }
+        Self {
+            cache,
+            profile,
+            extractors: HashMap::new(),
+            computed: 0,
+            count_periods: Vec::new(),
+            counts_late_s: 0.0,
+            tracker: CountTracker::Librosa,
+            known: Arc::default(),
+        }
     }
 
-    /// Adds the columns of these periods to the conditioning rows.
+    /// Adds the columns of these periods to the conditioning rows, by counts of this tracker.
     #[must_use]
-    pub fn with_count_periods(mut self, periods: &[u32]) -> Self {
+    pub fn with_count_periods(mut self, periods: &[u32], source: CountSource) -> Self {
         self.count_periods = periods.to_vec();
+        self.tracker = CountTracker::new(source);
+        self
+    }
+
+    /// Moves the counts of the columns to so much later, for a model that was trained so.
+    #[must_use]
+    pub fn with_counts_later(mut self, seconds: f64) -> Self {
+        self.counts_late_s = seconds;
+        self
+    }
+
+    /// Takes the counts of these songs as they are, without a tracker.
+    #[must_use]
+    pub fn with_known_counts(mut self, known: Arc<KnownCounts>) -> Self {
+        self.known = known;
         self
     }
 
@@ -60,7 +94,7 @@ impl MusicLibrary {
     ) -> Result<Array2<f32>, DataError> {
         match music {
             MusicSource::Audio(path) => {
-                let rows = self.counted_rows(path, phase..phase + 1)?.pop();
+                let rows = self.counted_rows((music, path), phase..phase + 1)?.pop();
                 Ok(rows.unwrap_or_else(|| Array2::zeros((0, COLUMNS))))
             }
             MusicSource::DanceRows(path) | MusicSource::Rows(path)
@@ -103,7 +137,7 @@ impl MusicLibrary {
         count: usize,
     ) -> Result<Vec<Array2<f32>>, DataError> {
         match music {
-            MusicSource::Audio(path) => self.counted_rows(path, 0..count),
+            MusicSource::Audio(path) => self.counted_rows((music, path), 0..count),
             _ => (0..count).map(|phase| self.conditioning(music, phase)).collect(),
         }
     }
@@ -111,12 +145,30 @@ impl MusicLibrary {
     /// Conditioning rows of these start phases, with the columns of the count periods after them.
     fn counted_rows(
         &mut self,
-        path: &Path,
+        (music, path): (&MusicSource, &Path),
         phases: Range<usize>,
     ) -> Result<Vec<Array2<f32>>, DataError> {
         let all = self.computed_rows(path, Rate::Conditioning, phases.clone())?;
         if self.count_periods.is_empty() {
             return Ok(all);
+        }
+        let counts = match self.known.get(music) {
+            Some(known) => Some(known.clone()),
+            None => self.tracked_counts(path)?,
+        };
+        let all = all.into_iter().zip(phases).map(|(rows, phase)| {
+            let start_s = phase as f64 / FPS as f64 - self.counts_late_s;
+            with_counts(rows, counts.as_ref(), start_s, &self.count_periods)
+        });
+        Ok(all.collect())
+    }
+
+    /// Counts over the whole song, as in serving.
+    fn tracked_counts(&mut self, path: &Path) -> Result<Option<BeatPhase>, DataError> {
+        let whole = self.whole(path, Rate::Conditioning)?;
+        if let CountTracker::Beatnet(tracker) = &mut self.tracker {
+            let song = tracker.beats(path)?;
+            return Ok(BeatPhase::of(&song, whole.view()));
         }
         let beats = self.whole(path, Rate::Beats)?;
         let beats = beats.column(BEAT_COLUMN).into_iter().enumerate();
@@ -124,14 +176,7 @@ impl MusicLibrary {
             frames: beats.filter(|(_, beat)| **beat > 0.5).map(|(row, _)| row).collect(),
             ..Beats::default()
         };
-        // Over the whole song, as in serving.
-        let whole = self.whole(path, Rate::Conditioning)?;
-        let counts = BeatPhase::find(&beats, whole.view());
-        let all = all.into_iter().zip(phases).map(|(rows, phase)| {
-            let start_s = phase as f64 / FPS as f64;
-            with_counts(rows, counts.as_ref(), start_s, &self.count_periods)
-        });
-        Ok(all.collect())
+        Ok(BeatPhase::find(&beats, whole.view()))
     }
 
     /// Rows of the song from its start on.

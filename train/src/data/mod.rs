@@ -34,6 +34,7 @@ mod songs;
 pub(crate) mod testing;
 #[cfg(test)]
 mod tests;
+mod tracker;
 
 #[cfg(test)]
 pub(crate) use augment::mirrored;
@@ -42,7 +43,7 @@ pub use cache::{FeatureCache, FeatureKey};
 pub use crops::{Choice, CropPlan, Draw, common_frames, crop_starts, rows_beside};
 pub use dataset::{Dataset, Defect, Layout, MotionSource, MusicSource, OpenOptions, Piece, Split};
 pub use error::DataError;
-pub use library::MusicLibrary;
+pub use library::{KnownCounts, MusicLibrary};
 pub use marks::{Marks, Phrase};
 pub use motion::Motion;
 pub use portion::{Evaluation, Portion, Recording, Song, SplitKind, Training};

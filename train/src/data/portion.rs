@@ -3,7 +3,7 @@
 
 use std::{collections::BTreeMap, marker::PhantomData};
 
-use bailando::motion::Skeleton;
+use bailando::{features::BeatPhase, motion::Skeleton};
 
 use super::{DataError, Dataset, Marks, Motion, MotionSource, MusicSource, Split};
 
@@ -138,6 +138,23 @@ impl<S> Recording<S> {
     pub fn grid_beats_s(&self) -> &[f64] {
         let grids = self.songs.iter().map(|song| song.grid_beats_s.as_slice());
         grids.max_by_key(|grid| grid.len()).unwrap_or_default()
+    }
+
+    /// Returns the songs whose beats the data say, with the counts that these make.
+    pub fn known_counts(&self) -> impl Iterator<Item = (&MusicSource, BeatPhase)> {
+        let songs = self.songs.iter();
+        songs.filter_map(|song| Some((song.music.as_ref()?, self.counts(&song.grid_beats_s)?)))
+    }
+
+    /// Returns the counts of all songs in seconds from frame 0; none where the data have no beats.
+    #[must_use]
+    pub fn counts_s(&self) -> Vec<f64> {
+        let counts = self.counts(self.grid_beats_s());
+        counts.map(|counts| counts.counts_s().to_vec()).unwrap_or_default()
+    }
+
+    fn counts(&self, beats_s: &[f64]) -> Option<BeatPhase> {
+        BeatPhase::of_beats(beats_s, self.marks.first_count.saturating_sub(1))
     }
 
     /// Reads the motion.

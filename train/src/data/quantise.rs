@@ -16,20 +16,20 @@ struct Knot {
     late: f64,
 }
 
-/// Moves each beat of a motion towards the nearest of `grid_beats_s` (seconds from frame 0), by at
-/// most `most` frames; in between it is a little slower or faster, without a jump in speed. As long
+/// Moves each beat of a motion towards the nearest of `counts_s` (seconds from frame 0), by at most
+/// `most` frames; in between it is a little slower or faster, without a jump in speed. As long
 /// as before, and the same where there is nothing to move.
 #[must_use]
-pub fn quantised(motion: &Motion, grid_beats_s: &[f64], most: usize) -> Motion {
+pub fn quantised(motion: &Motion, counts_s: &[f64], most: usize) -> Motion {
     let Some(last) = motion.frames().checked_sub(1) else {
         return motion.clone();
     };
-    let grid: Vec<f64> = grid_beats_s
+    let counts: Vec<f64> = counts_s
         .iter()
-        .map(|&beat| beat * FPS as f64)
-        .filter(|&beat| (0.0..last as f64).contains(&beat))
+        .map(|&count| count * FPS as f64)
+        .filter(|&count| (0.0..last as f64).contains(&count))
         .collect();
-    let knots = knots(motion, &grid, most as f64, last as f64);
+    let knots = knots(motion, &counts, most as f64, last as f64);
     let positions = motion.positions();
     Motion::new(Positions::from_shape_fn(positions.dim(), |(frame, joint, axis)| {
         let recorded = (frame as f64 - late_at(&knots, frame as f64)).clamp(0.0, last as f64);
@@ -41,12 +41,12 @@ pub fn quantised(motion: &Motion, grid_beats_s: &[f64], most: usize) -> Motion {
 }
 
 /// Both ends, which stay, and the beats where they go to.
-fn knots(motion: &Motion, grid: &[f64], most: f64, last: f64) -> Vec<Knot> {
+fn knots(motion: &Motion, counts: &[f64], most: f64, last: f64) -> Vec<Knot> {
     let mut knots = vec![Knot { frame: 0.0, late: 0.0 }];
     for beat in dance_beats(&joint_speed(motion.decoded().view())) {
         let beat = beat as f64;
         let nearest =
-            grid.iter().copied().min_by(|a, b| (a - beat).abs().total_cmp(&(b - beat).abs()));
+            counts.iter().copied().min_by(|a, b| (a - beat).abs().total_cmp(&(b - beat).abs()));
         let late = nearest.map_or(0.0, |count| (count - beat).clamp(-most, most));
         let frame = beat + late;
         if knots.last().is_some_and(|knot| frame - knot.frame > CLOSEST) && last - frame > CLOSEST {
@@ -93,14 +93,14 @@ mod tests {
         dance_beats(&joint_speed(motion.decoded().view()))
     }
 
-    fn grid(period: f64) -> Vec<f64> {
+    fn counts(period: f64) -> Vec<f64> {
         (0..20).map(|beat| f64::from(beat) * period / 60.0).collect()
     }
 
     #[test]
     fn beats_that_are_late_come_on_the_count() {
         let late = dance(400, 40.0, 3.0);
-        let on_time = quantised(&late, &grid(40.0), 4);
+        let on_time = quantised(&late, &counts(40.0), 4);
         let counts: Vec<usize> = (1..9).map(|count| 40 * count).collect();
         assert!(beat_align_score(&counts, &beats(&late)) < 0.7);
         assert!(beat_align_score(&counts, &beats(&on_time)) > 0.93);
@@ -110,7 +110,7 @@ mod tests {
     #[test]
     fn nothing_moves_further_than_it_may() {
         let late = dance(400, 40.0, 9.0);
-        let moved = quantised(&late, &grid(40.0), 3);
+        let moved = quantised(&late, &counts(40.0), 3);
         // The first is too near to the start, which stays.
         for (moved, late) in beats(&moved).into_iter().zip(beats(&late)).skip(1) {
             assert!((2..=4).contains(&(late - moved)), "{late} {moved}");
@@ -121,10 +121,10 @@ mod tests {
     fn without_music_or_leave_it_stays_as_recorded() {
         let recorded = dance(200, 40.0, 7.0);
         assert_eq!(quantised(&recorded, &[], 4), recorded);
-        assert_eq!(quantised(&recorded, &grid(40.0), 0), recorded);
+        assert_eq!(quantised(&recorded, &counts(40.0), 0), recorded);
         let still = Motion::new(Positions::zeros((30, JOINTS, 3)));
-        assert_eq!(quantised(&still, &grid(40.0), 4), still);
+        assert_eq!(quantised(&still, &counts(40.0), 4), still);
         let nothing = Motion::new(Positions::zeros((0, JOINTS, 3)));
-        assert_eq!(quantised(&nothing, &grid(40.0), 4), nothing);
+        assert_eq!(quantised(&nothing, &counts(40.0), 4), nothing);
     }
 }

@@ -2,7 +2,10 @@
 
 use std::{fs, path::Path};
 
-use bailando::features::{MFCC_COLUMNS, Profile};
+use bailando::{
+    features::{MFCC_COLUMNS, Profile},
+    model::CountSource,
+};
 use ndarray::Array2;
 use serde_json::json;
 
@@ -234,7 +237,7 @@ fn counts_follow_the_features_of_every_phase() {
     let folder = good();
     let song = MusicSource::Audio(folder.path("a.wav"));
     let plain = library(folder.write()).phases(&song, 4).unwrap();
-    let mut counting = library(folder.write()).with_count_periods(&[1, 4]);
+    let mut counting = library(folder.write()).with_count_periods(&[1, 4], CountSource::Librosa);
     let rows = counting.phases(&song, 4).unwrap();
     for (rows, plain) in rows.iter().zip(&plain) {
         assert_eq!(rows.dim(), (plain.nrows(), 442));
@@ -257,6 +260,29 @@ fn counts_follow_the_features_of_every_phase() {
     let stored = MusicSource::Rows(folder.path("stored.json"));
     let refused = counting.conditioning(&stored, 0).unwrap_err();
     assert!(matches!(refused, DataError::StoredRows { .. }), "{refused}");
+}
+
+#[test]
+fn counts_that_the_data_say_take_the_place_of_tracked_ones() {
+    let folder = good();
+    let song = MusicSource::Audio(folder.path("a.wav"));
+    let data = open(folder.write()).unwrap();
+    let training = data.training().unwrap();
+    let known: KnownCounts = training
+        .recordings()
+        .iter()
+        .flat_map(Recording::known_counts)
+        .map(|(music, counts)| (music.clone(), counts))
+        .collect();
+    let mut library = library(folder.write())
+        .with_count_periods(&[8], CountSource::Librosa)
+        .with_known_counts(known.into());
+    let rows = library.conditioning(&song, 0).unwrap();
+    // Beats every half second from 0.1 s on: two counts each, the first of a phrase at 0.1 s.
+    let counts = (0.4 - 0.1) / 0.25;
+    let wanted = std::f32::consts::TAU * counts / 8.0;
+    let angle = rows[[3, 438]].atan2(rows[[3, 439]]);
+    assert!((angle - wanted).abs() < 1e-4, "{angle} {wanted}");
 }
 
 #[test]

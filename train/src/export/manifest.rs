@@ -34,6 +34,8 @@ pub struct Description {
     pub profile: Profile,
     /// Periods in counts that the model is conditioned on, after the features.
     pub count_periods: Vec<u32>,
+    /// The tracker whose counts it is served with.
+    pub counts: CountSource,
     /// Names of the styles that it is told after the music.
     pub styles: Vec<String>,
     /// Whether it is told energies after these.
@@ -85,7 +87,8 @@ pub(super) fn manifest(
             // Fewer columns than manners are refused with what the manifest says of features.
             columns: gpt.columns().saturating_sub(manners.columns()),
             count_periods: description.count_periods.clone(),
-            counts: CountSource::default(),
+            counts: description.counts,
+            counts_late_s: 0.0,
         },
         styles: styles.clone(),
         energy: *energy,

@@ -50,6 +50,7 @@ pub(super) fn write<const N: usize>(
         licence: config.export.licence.clone(),
         profile: config.data.profile,
         count_periods: config.data.count_periods.clone(),
+        counts: config.data.counts,
         styles: policy.manners.styles.clone(),
         energy: policy.manners.energy,
         classifier: read_classifier(config, &policy.manners.styles)?,

@@ -1,6 +1,6 @@
 //! Motion of a finished run for the songs of the test split, to measure runs that have no export.
 
-use std::{fs, io::Write, path::Path};
+use std::{fs, io::Write, path::Path, sync::Arc};
 
 use bailando::motion::Positions;
 use ndarray::Array2;
@@ -81,7 +81,7 @@ fn test_pieces(config: &Config, output: &mut impl Write) -> Result<Vec<TestPiece
     let songs = songs.filter_map(|(song, style)| Some((&song.id, song.music.as_ref()?, style)));
     let songs: Vec<(&String, &MusicSource, &Option<String>)> = songs.collect();
     let wanted = songs.iter().map(|&(_, music, _)| (music.clone(), 1));
-    let known = song_rows(data, wanted.collect(), output)?;
+    let known = song_rows(data, wanted.collect(), &Arc::default(), output)?;
     let mut pieces = Vec::with_capacity(songs.len());
     for (id, music, style) in songs {
         let failed = |message: &str| TrainError::Data {

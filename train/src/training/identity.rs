@@ -168,7 +168,9 @@ pub(super) fn is_finished(config: &Config, stage: Stage) -> Result<bool, TrainEr
 pub(super) fn concerns(stage: Stage, name: &str) -> bool {
     let codes = matches!(stage, Stage::Gpt | Stage::ActorCritic);
     match name {
-        "data.count_periods" | "ablation.separate_halves" => return codes,
+        "data.count_periods" | "data.counts" | "data.heard_counts" | "ablation.separate_halves" => {
+            return codes;
+        }
         // Asked for when the finished stage is used.
         "actor_critic.enabled" | "actor_critic.kept" => return false,
         _ => {}

@@ -9,7 +9,7 @@ use super::{
     error::TrainError,
     piece::{MotionPiece, PieceFacts},
     song::{Song as Target, training_songs},
-    songs::{MusicRows, SongRows, song_rows},
+    songs::{MusicRows, SongRows, known_counts, song_rows},
     stage::Load,
 };
 use crate::data::{
@@ -62,7 +62,7 @@ impl<S: SplitKind> Motions<S> {
             }
             let motion = match quantise_frames {
                 0 => motion,
-                most => quantised(&motion, dance.grid_beats_s(), most),
+                most => quantised(&motion, &dance.counts_s(), most),
             };
             let piece = MotionPiece::from_positions(motion.into_positions(), frame);
             let piece = piece.map_err(|error| failed(error.to_string()))?;
@@ -124,14 +124,14 @@ impl Motions<Evaluation> {
         crops.collect()
     }
 
-    /// Returns the fixed crops of each motion with each of its songs.
+    /// Returns the fixed crops of each motion, with one of its songs after the other: seven songs for
+    /// one motion must not make it seven times as important.
     pub(super) fn crops_with_music(&self, length: usize, stride: usize) -> Vec<Draw> {
         let mut crops = Vec::new();
         for (dance, piece) in self.pieces.iter().enumerate() {
-            for song in 0..piece.songs().len() {
-                let starts = crop_starts(piece.frames_with_music(), length, stride);
-                crops.extend(starts.map(|start| fixed(dance, song, start)));
-            }
+            let songs = (0..piece.songs().len()).cycle();
+            let starts = crop_starts(piece.frames_with_music(), length, stride);
+            crops.extend(starts.zip(songs).map(|(start, song)| fixed(dance, song, start)));
         }
         crops
     }
@@ -188,7 +188,7 @@ impl MotionSet {
                 for dance in test.iter().flat_map(Portion::recordings) {
                     wanted.extend(songs(dance.songs()).into_iter().map(|song| (song, 1)));
                 }
-                Some(song_rows(data, wanted, output)?)
+                Some(song_rows(data, wanted, &known_counts(data, &training), output)?)
             }
         };
         let quantise_frames = match load {

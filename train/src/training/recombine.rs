@@ -1,40 +1,43 @@
 //! Other music for a window: phrases fit any song of their style and tempo from a bar's start on.
 
+use bailando::features::BeatPhase;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use super::piece::MotionPiece;
 use crate::data::{Draw, FPS, FRAMES_PER_CODE};
 
-/// Beats of a bar.
-const BAR: usize = 4;
+/// Counts of the longest period that models are conditioned on: a bar of four beats, or two bars
+/// where a beat is one count.
+const PHRASE: f64 = 8.0;
 /// Largest difference of two tempos: over a window of four seconds less than a frame and a half
 /// either way of its middle.
 const SAME_TEMPO: f64 = 0.01;
 /// Most frames by which a bar may lie beside the place that it takes.
 const BESIDE: f64 = 1.0;
 
-/// Bars of a song, in frames.
-struct Bars {
+/// Phrases of eight counts of a song, in frames.
+struct Counted {
     starts: Vec<f64>,
     length: f64,
 }
 
-impl Bars {
-    /// Returns the bars of a motion's songs; `None` where the data have no beats.
+impl Counted {
+    /// Returns the phrases of a motion's songs; `None` where the data have no beats.
     fn of(piece: &MotionPiece) -> Option<Self> {
         let facts = piece.facts();
-        let beats = &facts.grid_beats_s;
-        let (first, last) = (beats.first()?, beats.last()?);
-        let length = (last - first) / (beats.len().checked_sub(1)?.max(1)) as f64;
-        let length = length * (BAR * FPS) as f64;
-        let before = facts.marks.first_count.saturating_sub(1) % BAR;
-        let starts = beats.iter().skip((BAR - before) % BAR).step_by(BAR);
-        let starts = starts.map(|beat| beat * FPS as f64).collect();
-        (length > 0.0).then_some(Self { starts, length })
+        let place = facts.marks.first_count.saturating_sub(1);
+        let counts = BeatPhase::of_beats(&facts.grid_beats_s, place)?;
+        let (first, last) = (*counts.counts_s().first()?, *counts.counts_s().last()?);
+        let frame = |phrase: u32| counts.second_of(PHRASE * f64::from(phrase)) * FPS as f64;
+        let starts = (0..).map(frame).take_while(|&start| start <= last * FPS as f64);
+        let starts: Vec<f64> = starts.filter(|&start| start >= first * FPS as f64).collect();
+        let number = counts.counts_s().len().checked_sub(1)?;
+        let length = PHRASE * (last - first) * FPS as f64 / number as f64;
+        Some(Self { starts, length })
     }
 
-    /// Returns the place of a frame in its bar, in frames.
+    /// Returns the place of a frame in its phrase, in frames.
     fn place(&self, frame: f64) -> Option<f64> {
         let after = self.starts.partition_point(|&start| start <= frame);
         Some(frame - self.starts.get(after.checked_sub(1)?)?)
@@ -54,20 +57,22 @@ pub(super) fn other_music(
     if own.facts().marks.phrases.is_empty() {
         return None;
     }
-    let bars = Bars::of(own)?;
-    let place = bars.place((window.phase + window.start) as f64)?;
+    let counted = Counted::of(own)?;
+    // Of the window's middle.
+    let middle = (block * FRAMES_PER_CODE) as f64 / 2.0;
+    let place = counted.place((window.phase + window.start) as f64 + middle)?;
     let mut found = Vec::new();
     for (dance, piece) in pieces.iter().enumerate() {
         if piece.facts().style != own.facts().style {
             continue;
         }
-        let Some(other) = Bars::of(piece) else { continue };
-        if (other.length / bars.length - 1.0).abs() > SAME_TEMPO {
+        let Some(other) = Counted::of(piece) else { continue };
+        if (other.length / counted.length - 1.0).abs() > SAME_TEMPO {
             continue;
         }
         let rows = piece.frames_with_music() / FRAMES_PER_CODE + 1;
         for start in &other.starts {
-            let frame = start + place * other.length / bars.length;
+            let frame = start + place * other.length / counted.length - middle;
             for phase in 0..piece.phases(usize::MAX) {
                 let codes = ((frame - phase as f64) / FRAMES_PER_CODE as f64).round();
                 let beside = phase as f64 + codes * FRAMES_PER_CODE as f64 - frame;
@@ -132,16 +137,29 @@ mod tests {
             assert!(song < 2 && phase < pieces[dance].phases(8));
             assert!(row + 29 <= pieces[dance].songs()[song].phase(phase).nrows());
             let place = |dance: usize, frame: usize| {
-                Bars::of(&pieces[dance]).unwrap().place(frame as f64).unwrap()
+                Counted::of(&pieces[dance]).unwrap().place(frame as f64).unwrap()
             };
             // Row k + 1 is beside code k.
             let moved = phase + 8 * (row - 1);
-            let apart = place(dance, moved + 2) - place(0, start + 3 + 2);
+            let apart = place(dance, moved + 116) - place(0, start + 3 + 116);
             let bar = 120.0;
             assert!(apart.rem_euclid(bar).min((-apart).rem_euclid(bar)) < 1.6, "{apart}");
         }
         assert!(from[0] > 0 && from[1] > 0 && from[4] > 0, "{from:?}");
         assert_eq!(from[2] + from[3], 0);
+    }
+
+    #[test]
+    fn fast_beats_are_counts_of_phrases_of_two_bars() {
+        let pieces = [piece(0, 26.0, 0.0, 8)];
+        let random = &mut generator(3, 4);
+        for start in (0..600).step_by(8) {
+            let window = Draw { phase: 3, start, ..Draw::default() };
+            let [_, _, phase, row] = other_music(&window, &pieces, 29, random).unwrap();
+            let apart = (phase + 8 * (row - 1)) as f64 - (3 + start) as f64;
+            let phrase = 208.0;
+            assert!(apart.rem_euclid(phrase).min((-apart).rem_euclid(phrase)) < 1.6, "{apart}");
+        }
     }
 
     #[test]
@@ -151,7 +169,7 @@ mod tests {
         let random = &mut generator(3, 4);
         assert_eq!(other_music(&Draw::default(), &[none], 29, random), None);
         // Before the first bar there is no place in one.
-        let late = piece(0, 30.0, 50.0, 1);
+        let late = piece(0, 30.0, 200.0, 1);
         assert_eq!(other_music(&Draw::default(), &[late], 29, random), None);
     }
 }

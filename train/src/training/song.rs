@@ -1,6 +1,6 @@
 //! The songs that a policy generates motion for: no recording is needed.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, path::Path, sync::Arc};
 
 use bailando::features::BEAT_COLUMN;
 use ndarray::Array2;
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use super::{
     config::DataConfig,
     error::TrainError,
-    songs::{feature_cache, music_library},
+    songs::{feature_cache, known_counts, music_library},
 };
 use crate::data::{DataError, FPS, FRAMES_PER_CODE, MusicLibrary, MusicSource, Portion, Training};
 
@@ -63,7 +63,7 @@ fn beats_by_frame(beats_s: &[f64], frames: usize) -> Vec<bool> {
 /// # Errors
 /// [`TrainError`] names what is wrong with it.
 pub fn target_song(data: &DataConfig, path: &Path) -> Result<Song, TrainError> {
-    let mut library = music_library(data, feature_cache(data)?);
+    let mut library = music_library(data, feature_cache(data)?, &Arc::default());
     Ok(Song::read(&MusicSource::Audio(path.to_owned()), (&[], None), &mut library)?)
 }
 
@@ -73,7 +73,8 @@ pub(super) fn training_songs(
     portion: &Portion<Training>,
 ) -> Result<Vec<Song>, TrainError> {
     let cache = feature_cache(data)?;
-    let library = || music_library(data, cache.clone());
+    let known = known_counts(data, portion);
+    let library = || music_library(data, cache.clone(), &known);
     let mut music: BTreeMap<&MusicSource, (&[f64], Option<&str>)> = BTreeMap::new();
     for dance in portion.recordings() {
         let style = dance.marks().style.as_deref();

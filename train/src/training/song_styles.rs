@@ -5,6 +5,7 @@ use std::{
     fmt, fs,
     io::Write,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use bailando::model::{STYLES_FILE, StyleClassifier, root_mean_square, song_statistics};
@@ -148,7 +149,7 @@ fn examples<S: SplitKind>(
     // Only the features themselves are wanted.
     let features = DataConfig { count_periods: Vec::new(), ..data.clone() };
     let wanted = songs.keys().map(|music| (music.clone(), 1)).collect();
-    let rows = song_rows(&features, wanted, output)?;
+    let rows = song_rows(&features, wanted, &Arc::default(), output)?;
     let mut examples = Vec::new();
     for (music, style) in &songs {
         let Some(rows) = rows.get(music) else { continue };

@@ -6,11 +6,15 @@ use std::{
     sync::Arc,
 };
 
+use bailando::model::CountSource;
 use ndarray::Array2;
 use rayon::prelude::*;
+use sha2::{Digest, Sha256};
 
 use super::{config::DataConfig, error::TrainError};
-use crate::data::{DataError, FeatureCache, MusicLibrary, MusicSource};
+use crate::data::{
+    DataError, FeatureCache, KnownCounts, MusicLibrary, MusicSource, Portion, Recording, Training,
+};
 
 /// Conditioning rows of a song, row `k` at frame `8 k`, for each start phase from 0 on.
 #[derive(Clone, Debug)]
@@ -46,15 +50,45 @@ pub(super) fn feature_cache(data: &DataConfig) -> Result<FeatureCache, TrainErro
     Ok(FeatureCache::open_or_default(data.cache_folder())?)
 }
 
-/// What computes features as the settings say.
-pub(super) fn music_library(data: &DataConfig, cache: FeatureCache) -> MusicLibrary {
-    MusicLibrary::new(cache, data.profile).with_count_periods(&data.count_periods)
+/// What computes features as the settings say, with counts that are known.
+pub(super) fn music_library(
+    data: &DataConfig,
+    cache: FeatureCache,
+    known: &Arc<KnownCounts>,
+) -> MusicLibrary {
+    MusicLibrary::new(cache, data.profile)
+        .with_count_periods(&data.count_periods, data.counts)
+        .with_known_counts(Arc::clone(known))
+}
+
+/// The counts that the data say of training songs, but for the share of the songs whose counts are
+/// those that the tracker hears, as in serving. librosa's are all heard: they are late, always by
+/// the same, and a model follows the ones or the others.
+pub(super) fn known_counts(data: &DataConfig, portion: &Portion<Training>) -> Arc<KnownCounts> {
+    if data.counts == CountSource::Librosa || data.count_periods.is_empty() {
+        return Arc::default();
+    }
+    let counts = portion.recordings().iter().flat_map(Recording::known_counts);
+    let is_heard = |music: &MusicSource| {
+        let name = music.path().file_name().unwrap_or_default();
+        share_of(name.as_encoded_bytes()) < data.heard_counts
+    };
+    let told = counts.filter(|(music, _)| !is_heard(music));
+    Arc::new(told.map(|(music, counts)| (music.clone(), counts)).collect())
+}
+
+/// Returns a number from 0 to 1 that a name has for good, evenly spread.
+fn share_of(name: &[u8]) -> f64 {
+    let digest = Sha256::digest(name);
+    let number = digest.iter().take(4).fold(0_u32, |number, &byte| number << 8 | u32::from(byte));
+    f64::from(number) / f64::from(u32::MAX)
 }
 
 /// Rows of each of `wanted` for that many start phases, or for one where the song cannot be moved.
 pub(super) fn song_rows(
     data: &DataConfig,
     wanted: Vec<(MusicSource, usize)>,
+    known: &Arc<KnownCounts>,
     output: &mut impl Write,
 ) -> Result<MusicRows, TrainError> {
     let mut songs: BTreeMap<MusicSource, usize> = BTreeMap::new();
@@ -68,7 +102,7 @@ pub(super) fn song_rows(
     let mut rows = MusicRows::new();
     let mut computed = 0;
     for some in songs.chunks(SONGS_A_LINE) {
-        let library = || music_library(data, cache.clone());
+        let library = || music_library(data, cache.clone(), known);
         let found = some.par_iter().map_init(library, |library, (song, phases)| {
             let before = library.computed();
             let rows = library.phases(song, *phases)?;

@@ -10,7 +10,7 @@ use std::{
 
 use bailando::{
     features::Profile,
-    model::{ModelDirectory, SuppressedCodes, WeightStorage},
+    model::{CountSource, ModelDirectory, SuppressedCodes, WeightStorage},
     motion::MotionFrame,
 };
 use bailando_train::{
@@ -81,6 +81,7 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             licence: "MIT".into(),
             profile: Profile::Librosa081,
             count_periods: Vec::new(),
+            counts: CountSource::default(),
             styles: Vec::new(),
             energy: false,
             classifier: None,

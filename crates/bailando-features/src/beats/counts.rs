@@ -11,9 +11,7 @@ const MOST: f64 = 32.0;
 /// Returns the seconds of the counts of beats, ascending; none below two beats.
 pub(crate) fn counts_of(beats_s: &[f64]) -> Vec<f64> {
     let Some(beat_s) = regular_distance(beats_s) else { return Vec::new() };
-    let longest = 60.0 / SLOWEST_COUNT_BPM;
-    // A beat holds 1, 2, 4, .. counts, or is one of 2, 4, .. that make a count.
-    let octaves = (beat_s / longest).log2().ceil();
+    let octaves = octaves_of(beat_s);
     let count_s = beat_s / octaves.exp2();
     if octaves < 0.0 {
         return beats_s.iter().step_by((-octaves).exp2() as usize).copied().collect();
@@ -27,6 +25,18 @@ pub(crate) fn counts_of(beats_s: &[f64]) -> Vec<f64> {
     }
     counts.extend(beats_s.last());
     counts
+}
+
+/// Returns how many octaves counts lie above their beats: a beat holds 2 to this power of them;
+/// none below two beats.
+pub(crate) fn octaves_above(beats_s: &[f64]) -> Option<i32> {
+    regular_distance(beats_s).map(|beat_s| octaves_of(beat_s) as i32)
+}
+
+/// A beat holds 1, 2, 4, .. counts, or is one of 2, 4, .. that make a count.
+fn octaves_of(beat_s: f64) -> f64 {
+    let longest = 60.0 / SLOWEST_COUNT_BPM;
+    (beat_s / longest).log2().ceil()
 }
 
 /// The mean of the distances that are near to the median: the median alone is a whole number of

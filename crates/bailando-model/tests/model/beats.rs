@@ -261,6 +261,52 @@ fn songs_of_the_test_split_are_on_the_count_and_in_the_bar() {
     }
 }
 
+/// The figures of the older tracker in docs/beats.md, and `counts_late_s` of the default model,
+/// which learned from these songs with this tracker's counts.
+#[test]
+#[ignore = "takes minutes"]
+fn librosas_counts_are_later_than_the_networks() {
+    let Some(root) = shared("data/salsa") else { return };
+    let index = bailando_testkit::read_json(&root.join("index.json"));
+    let mut rows = FeatureExtractor::new(Rate::Conditioning, Profile::Librosa011);
+    let mut librosa = FeatureExtractor::new(Rate::Beats, Profile::Librosa011);
+    let (mut ear, mut heard) = (Ear::new(), std::collections::BTreeSet::new());
+    let (mut right, mut later_s) = (0, Vec::new());
+    for piece in index["pieces"].as_array().unwrap() {
+        let name = piece["audio"].as_str().unwrap();
+        if !heard.insert(name) {
+            continue;
+        }
+        let bytes = std::fs::read(root.join(name)).unwrap();
+        let (range, limits) = (AudioRange::default(), AudioLimits::default());
+        let rates = [Rate::Conditioning.hz(), BeatFinder::HZ, Rate::Beats.hz()];
+        let decoded = decode(bytes.into(), range, &rates, &limits, &CancelToken::new());
+        let signals = decoded.unwrap().signals;
+        let rows = rows.extract(&signals[0]).unwrap();
+        let grid: Vec<f64> = serde_json::from_value(piece["grid_beats_s"].clone()).unwrap();
+        let network = BeatPhase::of(&ear.hear(&signals[1]), rows.view());
+        let beats = librosa.beats(&signals[2]).unwrap();
+        let librosa = BeatPhase::find(&beats, rows.view());
+        let [network, librosa] = [network, librosa]
+            .map(|phase| phase.map_or((0.0, 0.0), |phase| difference(&phase, &grid, 1.0)));
+        let is_right = |(counts, steady): (f64, f64)| counts.abs() < 0.25 && steady > 0.8;
+        right += usize::from(is_right(librosa));
+        if is_right(librosa) && is_right(network) {
+            later_s.push((network.0 - librosa.0) * (grid[1] - grid[0]));
+        }
+    }
+    later_s.sort_by(f64::total_cmp);
+    let [least, median, most] =
+        [0, later_s.len() / 2, later_s.len() - 1].map(|place| 1_000.0 * later_s[place]);
+    println!(
+        "of {} songs {right} on the count by librosa's beats; in {} where both are right they are \
+         later than the network's by {median:.1} ms (median; {least:.1} to {most:.1})",
+        heard.len(),
+        later_s.len()
+    );
+    assert!((15.0..30.0).contains(&median), "{median}");
+}
+
 /// The figures of docs/beats.md.
 #[test]
 #[ignore = "takes minutes"]

@@ -163,6 +163,7 @@ fn declared_sizes_are_bounded() {
         ("/sampling/candidates", &huge),
         ("/sampling/hop", &huge),
         ("/features/count_periods", &json!(vec![1; 1_000])),
+        ("/features/counts_late_s", &json!(0.5)),
         ("/start_codes", &json!([[u32::MAX, 0]])),
         // Each is allowed, all of them together are terabytes.
         (

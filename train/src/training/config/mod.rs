@@ -2,10 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use bailando::{features::Profile, model::MAX_COUNT_PERIODS, motion::MotionFrame};
+use bailando::{
+    features::Profile,
+    model::{CountSource, MAX_COUNT_PERIODS},
+    motion::MotionFrame,
+};
 use serde::{Deserialize, Serialize};
 
-use self::checks::{not_negative, within};
+use self::checks::{not_negative, within, within_range};
 pub use self::{
     ablation::AblationConfig,
     optimiser::{Schedule, TrainingConfig},
@@ -61,6 +65,8 @@ pub struct DataConfig {
     pub mirror: bool,
     pub phases: usize,
     pub count_periods: Vec<u32>,
+    pub counts: CountSource,
+    pub heard_counts: f64,
 }
 
 impl DataConfig {
@@ -88,6 +94,7 @@ impl DataConfig {
         if !count_periods.is_empty() && self.profile != Profile::Librosa011 {
             return Err("count_periods need the profile librosa-0.11".into());
         }
+        within_range([("heard_counts", self.heard_counts)], 0.0..=1.0, "0..=1")?;
         Ok(())
     }
 

@@ -1,0 +1,66 @@
+//! The trackers that the counts of songs come from.
+
+use std::path::Path;
+
+use bailando::{
+    CancelToken,
+    features::{BeatFinder, FeatureError, SongBeats},
+    model::{BeatNetwork, CountSource, ModelError},
+};
+
+use super::{DataError, files, library::decoded};
+
+/// What finds the counts of a song.
+pub(super) enum CountTracker {
+    /// librosa's beats, from the rows that are cached anyway.
+    Librosa,
+    Beatnet(Box<NetworkTracker>),
+}
+
+impl CountTracker {
+    pub(super) fn new(source: CountSource) -> Self {
+        match source {
+            CountSource::Librosa => Self::Librosa,
+            CountSource::Beatnet => Self::Beatnet(Box::default()),
+        }
+    }
+}
+
+/// The beat network, loaded with its first song.
+#[derive(Default)]
+pub(super) struct NetworkTracker {
+    loaded: Option<(BeatFinder, BeatNetwork)>,
+}
+
+/// What the network's tracker fails with.
+struct Failed(String);
+
+impl From<FeatureError> for Failed {
+    fn from(error: FeatureError) -> Self {
+        Self(error.to_string())
+    }
+}
+
+impl From<ModelError> for Failed {
+    fn from(error: ModelError) -> Self {
+        Self(error.to_string())
+    }
+}
+
+impl NetworkTracker {
+    /// Finds the beats of a song.
+    pub(super) fn beats(&mut self, path: &Path) -> Result<SongBeats, DataError> {
+        let audio = decoded(path, files::read(path)?, &[BeatFinder::HZ])?;
+        let signal = audio.signals.first().map_or(&[][..], Vec::as_slice);
+        let beats = self.of_signal(signal);
+        beats.map_err(|Failed(problem)| DataError::Beats { path: path.to_owned(), problem })
+    }
+
+    fn of_signal(&mut self, signal: &[f32]) -> Result<SongBeats, Failed> {
+        let (finder, network) = match &mut self.loaded {
+            Some(loaded) => loaded,
+            none => none.insert((BeatFinder::new(), BeatNetwork::open()?)),
+        };
+        network.beats(finder, signal, &CancelToken::new())
+    }
+}
