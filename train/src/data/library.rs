@@ -5,12 +5,9 @@ use std::{
     ops::Range,
     path::{Path, PathBuf},
     sync::Arc,
-    time::Duration,
 };
 
 use bailando::{
-    CancelToken,
-    audio::{AudioLimits, AudioRange, DecodedAudio, decode},
     features::{
         BEAT_COLUMN, BeatPhase, Beats, COLUMNS, FeatureExtractor, HOP, Profile, Rate, with_counts,
     },
@@ -19,7 +16,8 @@ use bailando::{
 use ndarray::Array2;
 
 use super::{
-    DataError, FPS, FeatureCache, FeatureKey, MusicSource, files, json, tracker::CountTracker,
+    DataError, FPS, FeatureCache, FeatureKey, MusicSource, audio::decoded, files, json,
+    tracker::CountTracker,
 };
 
 /// Computes, caches and hands out music rows of one profile.
@@ -236,24 +234,6 @@ impl MusicLibrary {
 fn samples(frames: usize, rate: Rate) -> usize {
     let per_frame = (rate.rows_per_second() * HOP as f64 / FPS as f64).round();
     frames * per_frame as usize
-}
-
-/// Decodes a song of the data: longer than any upload may be.
-pub(super) fn decoded(
-    path: &Path,
-    bytes: Vec<u8>,
-    rates: &[u32],
-) -> Result<DecodedAudio, DataError> {
-    let limits = AudioLimits {
-        max_seconds: 3_600.0,
-        min_seconds: 0.0,
-        min_sample_rate: 3_840,
-        max_decode_time: Duration::from_secs(300),
-        ..AudioLimits::default()
-    };
-    let (range, cancel) = (AudioRange::default(), CancelToken::new());
-    decode(bytes.into(), range, rates, &limits, &cancel)
-        .map_err(|source| DataError::Audio { path: path.to_owned(), source })
 }
 
 fn stored(path: &Path, what: &'static str) -> DataError {

@@ -7,6 +7,7 @@
 //! capture.
 
 mod aist;
+mod audio;
 mod augment;
 mod body;
 mod cache;

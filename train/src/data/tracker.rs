@@ -8,7 +8,7 @@ use bailando::{
     model::{BeatNetwork, CountSource, ModelError},
 };
 
-use super::{DataError, files, library::decoded};
+use super::{DataError, audio::decoded, files};
 
 /// What finds the counts of a song.
 pub(super) enum CountTracker {

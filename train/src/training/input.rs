@@ -124,8 +124,8 @@ impl Motions<Evaluation> {
         crops.collect()
     }
 
-    /// Returns the fixed crops of each motion, with one of its songs after the other: seven songs for
-    /// one motion must not make it seven times as important.
+    /// Returns the fixed crops of each motion, with one of its songs after the other: seven songs
+    /// for one motion must not make it seven times as important.
     pub(super) fn crops_with_music(&self, length: usize, stride: usize) -> Vec<Draw> {
         let mut crops = Vec::new();
         for (dance, piece) in self.pieces.iter().enumerate() {

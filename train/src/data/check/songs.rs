@@ -14,7 +14,7 @@ use std::{
 use bailando::features::{FeatureExtractor, Profile, Rate};
 
 use crate::{
-    data::{DataError, files, library::decoded},
+    data::{DataError, audio::decoded, files},
     sha256,
 };
 
