@@ -5,6 +5,7 @@ use std::{
     convert::Infallible,
     fmt,
     net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
+    ops::RangeInclusive,
     str::FromStr,
     time::Duration,
 };
@@ -21,15 +22,58 @@ use sha2::Sha256;
 /// Longest time for one call.
 const CALL: Duration = Duration::from_secs(10);
 
-/// What callbacks are signed with. Its text is never shown.
-#[derive(Clone, Default, PartialEq, Eq)]
-pub struct CallbackSecret(String);
+/// Bytes of a key, as Standard Webhooks has them.
+const KEY: RangeInclusive<usize> = 24..=64;
+
+/// What callbacks are signed with. Its text is never shown: a secret that cannot be used is read,
+/// so that no parser repeats it, and refused by [`Self::check`].
+#[derive(Clone, PartialEq, Eq)]
+pub struct CallbackSecret(Result<Vec<u8>, SecretError>);
+
+/// Why callbacks cannot be signed with a secret.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SecretError {
+    /// There is none.
+    #[error("is empty")]
+    Empty,
+    /// It was written some other way.
+    #[error("is no base64, with or without `whsec_` before it")]
+    Base64,
+    /// It can be guessed, or is longer than receivers expect.
+    #[error("holds {0} bytes of key, expected 24 to 64")]
+    Length(usize),
+}
+
+impl CallbackSecret {
+    /// Whether callbacks can be signed with it.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn check(&self) -> Result<(), SecretError> {
+        self.0.as_ref().map(|_| ()).map_err(|error| *error)
+    }
+}
+
+impl Default for CallbackSecret {
+    fn default() -> Self {
+        Self(Err(SecretError::Empty))
+    }
+}
 
 impl FromStr for CallbackSecret {
     type Err = Infallible;
 
+    /// Reads `whsec_` and base64, or base64 alone, as the libraries of Standard Webhooks do.
     fn from_str(text: &str) -> Result<Self, Infallible> {
-        Ok(Self(text.trim().to_owned()))
+        let text = text.trim();
+        let text = text.strip_prefix("whsec_").unwrap_or(text);
+        Ok(Self(match STANDARD.decode(text) {
+            Ok(key) if key.is_empty() => Err(SecretError::Empty),
+            Ok(key) if KEY.contains(&key.len()) => Ok(key),
+            Ok(key) => Err(SecretError::Length(key.len())),
+            Err(_) => Err(SecretError::Base64),
+        }))
     }
 }
 
@@ -97,11 +141,10 @@ impl CallbackPolicy {
 
     /// The value of `webhook-signature` for a message.
     pub(crate) fn sign(&self, id: &str, timestamp: i64, body: &str) -> String {
-        let secret = self.secret.0.strip_prefix("whsec_");
-        let decoded = secret.and_then(|text| STANDARD.decode(text).ok());
-        let key = decoded.unwrap_or_else(|| self.secret.0.clone().into_bytes());
-        // A key of any length is one of HMAC (RFC 2104).
-        let Ok(mut mac) = Hmac::<Sha256>::new_from_slice(&key) else { return String::new() };
+        // A server whose secret is none does not start; a key of any length is one of HMAC
+        // (RFC 2104).
+        let key = self.secret.0.as_deref().unwrap_or_default();
+        let Ok(mut mac) = Hmac::<Sha256>::new_from_slice(key) else { return String::new() };
         mac.update(format!("{id}.{timestamp}.{body}").as_bytes());
         format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes()))
     }
@@ -245,5 +288,25 @@ mod tests {
             policy.sign("msg_p5jXN8AQM9LWM0D4loKWxJek", 1_614_265_330, "{\"test\": 2432232314}");
         assert_eq!(signature, "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE=");
         assert_eq!(format!("{:?}", policy.secret), "CallbackSecret(..)");
+    }
+
+    #[test]
+    fn a_secret_is_base64_of_a_key_that_nobody_guesses() {
+        let key = STANDARD.encode([7; 32]);
+        let read = |text: &str| text.parse::<CallbackSecret>().unwrap();
+        assert_eq!(read(&format!("whsec_{key}")).0, Ok(vec![7; 32]));
+        assert_eq!(read(&format!(" {key}\n")), read(&format!("whsec_{key}")));
+        for (text, wrong) in [
+            ("", SecretError::Empty),
+            (" ", SecretError::Empty),
+            ("whsec_", SecretError::Empty),
+            ("a secret", SecretError::Base64),
+            ("whsec_a-secret_of_32-characters..", SecretError::Base64),
+            ("c2VjcmV0", SecretError::Length(6)),
+            (&STANDARD.encode([7; 23]), SecretError::Length(23)),
+            (&STANDARD.encode([7; 65]), SecretError::Length(65)),
+        ] {
+            assert_eq!(read(text).check(), Err(wrong), "{text:?}");
+        }
     }
 }

@@ -31,7 +31,7 @@ mod upload;
 mod work;
 mod workers;
 
-pub use callbacks::{CallbackPolicy, CallbackSecret};
+pub use callbacks::{CallbackPolicy, CallbackSecret, SecretError};
 pub use config::{
     Access, ApiKey, ByteSize, KeysError, Limits, LimitsError, Origin, Role, Seconds, ServerConfig,
     StorageConfig, StorageError,

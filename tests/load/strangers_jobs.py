@@ -317,7 +317,7 @@ def few_files(server):
 
 FLAGS = {
     "job_bytes": ["--job-bytes", "20MB"],
-    "callbacks": ["--callback-allow", "*", "--callback-private", "--callback-secret", "s"],
+    "callbacks": ["--callback-allow", "*", "--callback-private", "--callback-secret", "c2Vj" * 8],
 }
 
 

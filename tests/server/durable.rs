@@ -336,7 +336,7 @@ fn is_whole(request: &[u8]) -> bool {
 async fn caller(fake: &Arc<Fake>, folder: &Path) -> Server {
     let callbacks = CallbackPolicy {
         allow: vec!["127.0.0.1".to_owned()],
-        secret: "whsec_c2VjcmV0".parse().unwrap(),
+        secret: "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw".parse().unwrap(),
         private: true,
     };
     let storage = in_folder(folder).await;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use bailando_jobs::{Files, JobTable, JobsError};
 
 use crate::server::{
-    callbacks::{CallbackPolicy, CallbackSecret},
+    callbacks::{CallbackPolicy, CallbackSecret, SecretError},
     jobs::storage::JobStorage,
 };
 
@@ -49,7 +49,8 @@ pub struct StorageConfig {
     /// below a name, * for all [default: none]
     #[arg(long, env = "BAILANDO_CALLBACK_ALLOW", value_delimiter = ',')]
     pub callback_allow: Vec<String>,
-    /// Secret that callbacks are signed with, as Standard Webhooks says
+    /// Secret that callbacks are signed with, as Standard Webhooks has it: 24 to 64 random bytes in
+    /// base64, with or without `whsec_` before them; `openssl rand -base64 32` makes one
     #[arg(long, env = "BAILANDO_CALLBACK_SECRET", hide_env_values = true)]
     pub callback_secret: Option<CallbackSecret>,
     /// Allow callbacks over http, and to private addresses
@@ -74,23 +75,29 @@ pub enum StorageError {
     /// Callbacks could not be told from those of others.
     #[error("--callback-allow needs --callback-secret, which callbacks are signed with")]
     NoSecret,
+    /// Anybody could sign as this server does, or nobody check it.
+    #[error(
+        "--callback-secret (BAILANDO_CALLBACK_SECRET) {0}: `openssl rand -base64 32` makes a secret"
+    )]
+    Secret(SecretError),
 }
 
 impl StorageConfig {
     /// Checks the settings, without a look at disk or network.
     ///
     /// # Errors
-    /// [`StorageError::NothingShared`], [`StorageError::NoSecret`].
+    /// [`StorageError::NothingShared`], [`StorageError::NoSecret`], [`StorageError::Secret`].
     pub fn check(&self) -> Result<(), StorageError> {
         let in_memory = self.data_dir.as_deref() == Some(Path::new(NONE));
         let shares = self.database.is_some() || (self.data_dir.is_some() && !in_memory);
         if self.role != Role::All && !shares {
             return Err(StorageError::NothingShared);
         }
-        if !self.callback_allow.is_empty() && self.callback_secret.is_none() {
-            return Err(StorageError::NoSecret);
+        if self.callback_allow.is_empty() {
+            return Ok(());
         }
-        Ok(())
+        let secret = self.callback_secret.as_ref().ok_or(StorageError::NoSecret)?;
+        secret.check().map_err(StorageError::Secret)
     }
 
     /// Opens what the settings name. A folder of the settings that cannot be written to is an
@@ -169,5 +176,9 @@ mod tests {
         let unsigned =
             StorageConfig { callback_allow: vec!["*".to_owned()], ..StorageConfig::default() };
         assert!(matches!(unsigned.check(), Err(StorageError::NoSecret)));
+        let guessed = StorageConfig { callback_secret: "secret".parse().ok(), ..unsigned };
+        let refused = guessed.check().unwrap_err().to_string();
+        assert!(refused.contains("openssl rand -base64 32"), "{refused}");
+        assert!(!refused.contains("secret\""), "{refused}");
     }
 }
