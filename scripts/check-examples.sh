@@ -69,6 +69,10 @@ python_example() {
     of_kind python.glb glTF
     python3 "$client" job "$song" -o python.bvh duration_s=8 --server "$server"
     of_kind python.bvh HIERARCHY
+    # A job that fails says why, as `generate` does.
+    echo no song >no-song.mp3
+    ! python3 "$client" job no-song.mp3 -o none.bvh --server "$server" 2>python.error || return 1
+    tail -n 1 python.error | grep -q '^error: this is not an accepted audio file'
     python3 "$client" stream "$song" duration_s=8 --server "$server" | tee stream.log
     grep -q 'done, 480 frames' stream.log
 }

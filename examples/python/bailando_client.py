@@ -24,10 +24,12 @@ from typing import Any
 
 
 class BailandoError(Exception):
-    """An answer that is no dance. `kind` is for programs, `request_id` for reports."""
+    """An answer that is no dance. `kind` is for programs, `request_id` for reports; `status` is
+    None where a dance failed after an answer had begun."""
 
-    def __init__(self, status: int, body: dict[str, Any], retry_after: str | None = None):
-        super().__init__(f"{status}: {body.get('error', 'no reason given')}")
+    def __init__(self, status: int | None, body: dict[str, Any], retry_after: str | None = None):
+        reason = body.get("error", "no reason given")
+        super().__init__(f"{status}: {reason}" if status else reason)
         self.status = status
         self.kind = body.get("error_type")
         self.request_id = body.get("request_id")
@@ -57,7 +59,7 @@ class Bailando:
         for line in answer:
             event = json.loads(line)
             if event["event"] == "error":
-                raise BailandoError(answer.status, event)
+                raise BailandoError(None, event)
             for name in ("positions", "rotations", "root"):
                 if isinstance(event.get(name), str):
                     event[name] = floats(event[name])
@@ -74,7 +76,7 @@ class Bailando:
             if job["state"] == "done":
                 break
             if job["state"] not in ("queued", "running"):
-                raise BailandoError(200, job)
+                raise BailandoError(None, job["error"])
             print(f"{job['codes_done']} of {job['codes_total']} codes", file=sys.stderr)
             time.sleep(0.5)
         _save(self._request("GET", f"{place}/result?format={options['format']}"), out)
