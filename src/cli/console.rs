@@ -60,6 +60,17 @@ pub(super) fn detail(line: &str) {
     }
 }
 
+/// An error with its causes, each said once: many errors say their cause themselves.
+pub(super) fn with_causes(error: &anyhow::Error) -> String {
+    let mut said: Vec<String> = Vec::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if said.last().is_none_or(|last| !last.ends_with(&cause)) {
+            said.push(cause);
+        }
+    }
+    said.join(": ")
+}
+
 /// Parses seconds above 0, for limits: NaN would switch one off.
 pub(super) fn positive_seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {

@@ -25,7 +25,7 @@ use super::{
     codes::read_codes,
     console::{
         STANDARD, Talk, Usage, detail, note, positive_seconds, read_file, say, say_error,
-        write_file,
+        with_causes, write_file,
     },
     inputs::{Input, audio_files},
     output::{FileFormat, OutputArgs, check_folder_of, write_positions},
@@ -164,7 +164,7 @@ fn from_audio(args: &GenerateArgs) -> anyhow::Result<()> {
             failures += 1;
             match songs {
                 1 => return Err(error),
-                _ => say_error(&format!("error: {error:#}")),
+                _ => say_error(&format!("error: {}", with_causes(&error))),
             }
         }
     }

@@ -22,7 +22,7 @@ use std::process::ExitCode;
 use bailando::{engine::EngineError, evaluation::EvaluationError};
 use clap::{CommandFactory, Parser, Subcommand};
 use clap_complete::Shell;
-use console::{Talk, Usage, say_error};
+use console::{Talk, Usage, say_error, with_causes};
 
 /// Music in, dance out: 3-D dance for a song.
 #[derive(Debug, Parser)]
@@ -89,7 +89,7 @@ pub(crate) fn run() -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            say_error(&format!("error: {error:#}"));
+            say_error(&format!("error: {}", with_causes(&error)));
             ExitCode::from(if is_usage(&error) { 2 } else { 1 })
         }
     }

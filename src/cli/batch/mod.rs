@@ -22,7 +22,7 @@ use self::{
     report::{Outcome, Report},
 };
 use super::{
-    console::{Talk, note},
+    console::{Talk, note, with_causes},
     inputs::{Input, audio_files},
     output::{FileFormat, targets_in},
 };
@@ -82,9 +82,16 @@ fn one(args: &BatchArgs, dancer: &dyn Dancer, input: &Input, target: &Path) -> O
         Err(error) => {
             // It may not be there.
             drop(fs::remove_file(&part));
-            Outcome::Failed(format!("{error:#}"))
+            Outcome::Failed(why(error, &input.path))
         }
     }
+}
+
+/// The reason without the song, which the report names beside it.
+fn why(error: anyhow::Error, song: &Path) -> String {
+    let song = song.display().to_string();
+    let said = with_causes(&error.context(song.clone()));
+    said.strip_prefix(&format!("{song}: ")).unwrap_or(&said).to_owned()
 }
 
 fn bar(songs: usize) -> ProgressBar {

@@ -18,7 +18,7 @@ use self::{
     encoder::{Encoder, Kind},
 };
 use super::{
-    console::{Usage, note, read_file, say},
+    console::{Usage, note, read_file, say, with_causes},
     output::check_folder_of,
 };
 
@@ -43,7 +43,9 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     match (shot, encoder.end()) {
         (Ok(()), ended) => ended?,
         // A film that broke off: the encoder's own words may be the reason.
-        (Err(shot), Err(ended)) => anyhow::bail!("{shot:#}; {ended:#}"),
+        (Err(shot), Err(ended)) => {
+            anyhow::bail!("{}; {}", with_causes(&shot), with_causes(&ended))
+        }
         (Err(shot), Ok(())) => return Err(shot),
     }
     say(&format!("{}: {frames} pictures at {fps} a second", args.output.display()));
