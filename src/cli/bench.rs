@@ -8,7 +8,7 @@ use bailando::{
     model::Device,
 };
 
-use super::console::{positive_seconds, read_file, say, say_error, write_file};
+use super::console::{at_least_one, positive_seconds, read_file, say, say_error, write_file};
 
 /// Measure the speed of a model on this machine: stages, steps, many dances at once, long songs
 ///
@@ -26,7 +26,12 @@ pub(super) struct BenchArgs {
     #[arg(long, env = "BAILANDO_DEVICE", default_value_t = Device::Cpu)]
     device: Device,
     /// Numbers of threads for steps; everything else uses the last one
-    #[arg(long, value_delimiter = ',', default_value = "1,2")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "1,2",
+        value_parser = at_least_one::<NonZeroUsize>
+    )]
     threads: Vec<NonZeroUsize>,
     /// Repetitions of each stage, of which the median counts
     #[arg(long, default_value_t = 7)]
@@ -40,7 +45,12 @@ pub(super) struct BenchArgs {
     )]
     lengths: Vec<f64>,
     /// Numbers of callers at the same time
-    #[arg(long, value_delimiter = ',', default_value = "1,4,8")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "1,4,8",
+        value_parser = at_least_one::<NonZeroUsize>
+    )]
     callers: Vec<NonZeroUsize>,
     /// Pose codes of each of the eight dances that are generated at once
     #[arg(long, default_value_t = 225)]

@@ -11,7 +11,7 @@ use clap::ValueEnum;
 
 use super::{
     codes::read_codes,
-    console::{say, write_file},
+    console::{at_least_one, say, write_file},
 };
 
 /// Draw each pose code of a model
@@ -25,7 +25,12 @@ pub(super) struct CodebookArgs {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Figures in a row
-    #[arg(long, default_value = "12", value_name = "N")]
+    #[arg(
+        long,
+        default_value = "12",
+        value_name = "N",
+        value_parser = at_least_one::<NonZeroUsize>
+    )]
     columns: NonZeroUsize,
     /// Changes from one pair of codes to another to draw: the most frequent in --codes, else those
     /// between the model's start codes, else between codes drawn evenly

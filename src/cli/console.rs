@@ -8,6 +8,7 @@ use std::{
 };
 
 use anyhow::Context;
+pub(super) use bailando::server::at_least_one;
 
 /// A wrong use of the command line that only shows after parsing.
 #[derive(Debug, thiserror::Error)]

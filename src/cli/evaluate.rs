@@ -5,7 +5,7 @@ use std::{num::NonZeroUsize, path::PathBuf};
 use bailando::evaluation::{BeatsFrom, Clips, EvaluationOptions, KineticForm, evaluate};
 use clap::ValueEnum;
 
-use super::console::{say, say_error, write_file};
+use super::console::{at_least_one, say, say_error, write_file};
 
 /// Compare generated motion with recordings: FID, diversity, beat align score and more
 #[derive(Debug, clap::Args)]
@@ -39,7 +39,7 @@ pub(super) struct EvaluateArgs {
     #[arg(long, value_name = "FRAMES", requires = "window")]
     stride: Option<usize>,
     /// Number of folders in --generated, one per seed: prints their mean with 95 % intervals
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = at_least_one::<NonZeroUsize>)]
     seeds: Option<NonZeroUsize>,
     /// Data folder whose training recordings teach what styles look like, so that the dances' own
     /// are recognised; repeated for several

@@ -24,8 +24,8 @@ use ndarray::Array2;
 use super::{
     codes::read_codes,
     console::{
-        STANDARD, Talk, Usage, detail, note, positive_seconds, read_file, say, say_error,
-        with_causes, write_file,
+        STANDARD, Talk, Usage, at_least_one, detail, note, positive_seconds, read_file, say,
+        say_error, with_causes, write_file,
     },
     inputs::{Input, audio_files},
     output::{FileFormat, OutputArgs, check_folder_of, write_positions},
@@ -61,7 +61,7 @@ pub(super) struct GenerateArgs {
     #[arg(long, env = "BAILANDO_DEVICE", default_value_t = Device::Cpu)]
     device: Device,
     /// Threads that compute one step of the model [default: all cores]
-    #[arg(long, env = "BAILANDO_THREADS")]
+    #[arg(long, env = "BAILANDO_THREADS", value_parser = at_least_one::<NonZeroUsize>)]
     threads: Option<NonZeroUsize>,
     /// Longest song in seconds
     #[arg(

@@ -197,6 +197,9 @@ impl GenerationOptions {
     fn check_manner(&self, manifest: &Manifest) -> Result<(), EngineError> {
         let known = |style: &&String| !accepted_styles(&manifest.styles).contains(&style.as_str());
         if let Some(style) = self.style.as_ref().filter(known) {
+            if manifest.styles.is_empty() {
+                return refuse("style", format!("{style:?}: this model has no styles"));
+            }
             let accepted = accepted_styles(&manifest.styles).join(", ");
             return refuse("style", format!("{style:?} is not one of {accepted}"));
         }

@@ -297,7 +297,9 @@ fn classify_audio(error: &AudioError) -> (StatusCode, &'static str) {
         AudioError::UnsupportedContainer { .. } | AudioError::UnsupportedCodec { .. } => {
             (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type")
         }
-        AudioError::TooShort { .. } => (UNPROCESSABLE, "audio_too_short"),
+        AudioError::TooShort { .. } | AudioError::PartTooShort { .. } => {
+            (UNPROCESSABLE, "audio_too_short")
+        }
         AudioError::TooLong { .. } => (UNPROCESSABLE, "audio_too_long"),
         AudioError::RangeOutside { .. } | AudioError::InvalidRange { .. } => {
             (StatusCode::BAD_REQUEST, "invalid_option")

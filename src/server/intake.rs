@@ -187,7 +187,7 @@ fn shape(
             Ok(Shape { format: options.format.unwrap_or_default(), encoding, lines: false })
         }
         Purpose::Stream if options.bars_wanted().is_some() => Err(ServerError::Option {
-            name: "loop".to_owned(),
+            name: if options.bars.is_some() { "bars" } else { "loop" }.to_owned(),
             problem: "a stream is of all bars: send it to POST /generate or POST /jobs".to_owned(),
         }),
         Purpose::Stream => match options.format {

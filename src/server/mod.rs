@@ -34,7 +34,7 @@ mod workers;
 pub use callbacks::{CallbackPolicy, CallbackSecret, SecretError};
 pub use config::{
     Access, ApiKey, ByteSize, KeysError, Limits, LimitsError, Origin, Role, Seconds, ServerConfig,
-    StorageConfig, StorageError,
+    StorageConfig, StorageError, at_least_one,
 };
 pub use error::ErrorBody;
 pub use film::{Film, serve_film};

@@ -46,6 +46,14 @@ pub enum AudioError {
         /// The limit in seconds.
         min_seconds: f64,
     },
+    /// A part of the audio that was asked for is shorter than the shortest accepted.
+    #[error("{reason}; at least {min_seconds} s are needed (the setting --min-audio-seconds)")]
+    PartTooShort {
+        /// The option that is to blame, and what it leaves of the audio.
+        reason: String,
+        /// The limit in seconds.
+        min_seconds: f64,
+    },
     /// More audio than the longest accepted.
     #[error(
         "the audio goes on after {max_seconds} s, the longest that is accepted (counted from the \

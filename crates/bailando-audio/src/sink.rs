@@ -180,10 +180,7 @@ impl<'a> Sink<'a> {
             });
         }
         if duration_s < self.request.limits.min_seconds {
-            return Err(AudioError::TooShort {
-                seconds: duration_s,
-                min_seconds: self.request.limits.min_seconds,
-            });
+            return Err(self.too_short(duration_s));
         }
         Ok(DecodedAudio {
             signals: self.outputs.finish(),
@@ -192,6 +189,21 @@ impl<'a> Sink<'a> {
             channels: self.channels,
             warnings,
         })
+    }
+
+    /// The song is to blame only where no option leaves so few `seconds` of it.
+    fn too_short(&self, seconds: f64) -> AudioError {
+        let (range, min_seconds) = (self.request.range, self.request.limits.min_seconds);
+        let reason = match range.duration_s {
+            Some(asked) if self.is_done() => format!("`duration_s` asks for {asked} s"),
+            _ if range.offset_s > 0.0 => format!(
+                "the audio is {:.3} s long, and `offset_s`, {}, leaves {seconds:.3} s of it",
+                self.window.position as f64 / f64::from(self.rate),
+                range.offset_s
+            ),
+            _ => return AudioError::TooShort { seconds, min_seconds },
+        };
+        AudioError::PartTooShort { reason, min_seconds }
     }
 }
 

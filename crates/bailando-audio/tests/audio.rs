@@ -234,8 +234,16 @@ mod ranges {
         ] {
             assert!(matches!(ask(offset, duration), AudioError::InvalidRange { .. }));
         }
-        assert!(matches!(ask(1.9, None), AudioError::TooShort { .. }));
-        assert!(matches!(ask(0.0, Some(0.2)), AudioError::TooShort { .. }));
+        for (offset, duration, wanted) in [
+            (1.9, None, "the audio is 2.000 s long, and `offset_s`, 1.9, leaves 0.100 s of it; at"),
+            (1.9, Some(1.0), "the audio is 2.000 s long, and `offset_s`, 1.9, leaves"),
+            (0.0, Some(0.2), "`duration_s` asks for 0.2 s; at least 0.5 s are needed"),
+            (1.0, Some(0.2), "`duration_s` asks for 0.2 s; at least 0.5 s are needed"),
+        ] {
+            let error = ask(offset, duration);
+            assert!(matches!(error, AudioError::PartTooShort { .. }), "{error}");
+            assert!(error.to_string().starts_with(wanted), "{error}");
+        }
     }
 }
 #[path = "audio/bombs.rs"]

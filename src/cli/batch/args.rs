@@ -4,6 +4,8 @@ use std::{num::NonZeroUsize, path::PathBuf};
 
 use bailando::{formats::OutputFormat, model::Device, options::RequestOptions};
 
+use crate::cli::console::at_least_one;
+
 /// Make dances for a catalogue of songs; run again, it makes what is missing
 #[derive(Debug, clap::Args)]
 #[command(allow_negative_numbers = true)]
@@ -25,7 +27,7 @@ pub(in crate::cli) struct BatchArgs {
     #[arg(long, env = "BAILANDO_API_KEY", hide_env_values = true)]
     pub(super) api_key: Option<String>,
     /// Songs at the same time
-    #[arg(long, default_value = "4")]
+    #[arg(long, default_value = "4", value_parser = at_least_one::<NonZeroUsize>)]
     pub(super) at_once: NonZeroUsize,
     /// Make results that are there once more
     #[arg(long)]
@@ -42,7 +44,7 @@ pub(in crate::cli) struct BatchArgs {
     #[arg(long, env = "BAILANDO_DEVICE", default_value_t = Device::Cpu)]
     pub(super) device: Device,
     /// Threads that compute one step of the model, without --server [default: all cores]
-    #[arg(long, env = "BAILANDO_THREADS")]
+    #[arg(long, env = "BAILANDO_THREADS", value_parser = at_least_one::<NonZeroUsize>)]
     pub(super) threads: Option<NonZeroUsize>,
 }
 

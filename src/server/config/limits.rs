@@ -8,7 +8,7 @@ use std::{
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::units::{ByteSize, Seconds};
+use super::units::{ByteSize, Seconds, at_least_one};
 use crate::{
     audio::AudioLimits,
     engine::{DEFAULT_BATCH, DecodeEffort},
@@ -66,7 +66,7 @@ limits! {
     client_share: f64 ["client_share" f64] "BAILANDO_CLIENT_SHARE" = 0.75, fraction;
     /// Requests that are processed at the same time
     max_concurrent_requests: NonZeroUsize ["max_concurrent_requests" u64]
-        "BAILANDO_MAX_CONCURRENT_REQUESTS" = count(4);
+        "BAILANDO_MAX_CONCURRENT_REQUESTS" = count(4), whole;
     /// Seconds of dance, all candidates counted, up to which a request is short: of several
     /// workers, one is left to short requests
     short_seconds: f64 ["short_seconds" f64] "BAILANDO_SHORT_SECONDS" = 60.0, zero_or_more;
@@ -74,9 +74,9 @@ limits! {
     queue: usize ["queue" usize] "BAILANDO_QUEUE" = 32;
     /// Sequences that share a step of the model, each candidate counted; memory is taken for all of
     /// them
-    batch: NonZeroUsize ["batch" u64] "BAILANDO_BATCH" = DEFAULT_BATCH;
+    batch: NonZeroUsize ["batch" u64] "BAILANDO_BATCH" = DEFAULT_BATCH, whole;
     /// Requests whose bodies may be in transfer at the same time; one more is answered 429
-    max_uploads: NonZeroUsize ["max_uploads" u64] "BAILANDO_MAX_UPLOADS" = count(256);
+    max_uploads: NonZeroUsize ["max_uploads" u64] "BAILANDO_MAX_UPLOADS" = count(256), whole;
     /// Bytes of uploads that are held at the same time, until they are decoded; above it, uploads
     /// are answered 429
     upload_memory: ByteSize ["upload_memory_bytes" u64]
@@ -90,7 +90,7 @@ limits! {
         "BAILANDO_AUDIO_SECONDS_IN_FLIGHT" = 2400.0, above_zero;
     /// Jobs that are kept at the same time, finished ones included; one more replaces a job whose
     /// result was fetched, or else is answered 429
-    max_jobs: NonZeroUsize ["max_jobs" u64] "BAILANDO_MAX_JOBS" = count(10_000);
+    max_jobs: NonZeroUsize ["max_jobs" u64] "BAILANDO_MAX_JOBS" = count(10_000), whole;
     /// Bytes of songs and results of jobs that are kept at the same time, without a data directory
     /// 400MB at most; above it a new job replaces one whose result was fetched, or else is answered
     /// 503
@@ -104,23 +104,24 @@ limits! {
     job_lease: Seconds ["job_lease_s" f64] "BAILANDO_JOB_LEASE" = Seconds::new(15);
     /// Times that a job is tried when the service is at fault; what is wrong with a song or an
     /// option is tried once
-    job_attempts: NonZeroUsize ["job_attempts" u64] "BAILANDO_JOB_ATTEMPTS" = count(3);
+    job_attempts: NonZeroUsize ["job_attempts" u64] "BAILANDO_JOB_ATTEMPTS" = count(3), whole;
     /// Times that a job is begun when its worker dies of it
-    job_starts: NonZeroUsize ["job_starts" u64] "BAILANDO_JOB_STARTS" = count(10);
+    job_starts: NonZeroUsize ["job_starts" u64] "BAILANDO_JOB_STARTS" = count(10), whole;
     /// Requests a minute, on average, that each client may make of the routes that need a key;
     /// clients are distinguished by their API key, else by the address that connects: behind a
     /// proxy all clients without a key count as one [default: no limit]
-    rate_limit: Option<NonZeroU32> ["rate_limit_per_minute" Option<u32>] "BAILANDO_RATE_LIMIT";
+    rate_limit: Option<NonZeroU32> ["rate_limit_per_minute" Option<u32>]
+        "BAILANDO_RATE_LIMIT", whole_u32;
     /// Requests that a client may make at once, where there is a rate limit
     rate_burst: NonZeroU32 ["rate_burst" u32]
-        "BAILANDO_RATE_BURST" = NonZeroU32::MIN.saturating_add(9);
+        "BAILANDO_RATE_BURST" = NonZeroU32::MIN.saturating_add(9), whole_u32;
     /// Connections at the same time; one more takes the place of the one that has been without a
     /// request for longest
     max_connections: NonZeroUsize ["max_connections" u64]
-        "BAILANDO_MAX_CONNECTIONS" = count(1024);
+        "BAILANDO_MAX_CONNECTIONS" = count(1024), whole;
     /// Requests at the same time on one HTTP/2 connection
     max_http2_streams: NonZeroU32 ["max_http2_streams" u32]
-        "BAILANDO_MAX_HTTP2_STREAMS" = NonZeroU32::MIN.saturating_add(31);
+        "BAILANDO_MAX_HTTP2_STREAMS" = NonZeroU32::MIN.saturating_add(31), whole_u32;
     /// Longest time in seconds that a connection is kept open without a request (keep-alive); the
     /// keep-alive of a proxy in front must be shorter
     connection_idle_timeout: Seconds ["connection_idle_timeout_s" f64]
@@ -146,7 +147,7 @@ limits! {
         "BAILANDO_RIG_LIMIT" = ByteSize(RigLimits::default().bytes as u64);
     /// Most bones or nodes of a caller's character
     rig_bones: usize ["rig_bones" usize]
-        "BAILANDO_RIG_BONES" = RigLimits::default().bones, at_least_one;
+        "BAILANDO_RIG_BONES" = RigLimits::default().bones, plain;
     /// Shortest audio in seconds
     min_audio_seconds: f64 ["min_audio_seconds" f64]
         "BAILANDO_MIN_AUDIO_SECONDS" = AudioLimits::default().min_seconds, zero_or_more;
@@ -161,7 +162,7 @@ limits! {
         = AudioLimits::default().max_sample_rate, clap::value_parser!(u32).range(1..);
     /// Most channels of an upload
     max_channels: usize ["max_channels" usize]
-        "BAILANDO_MAX_CHANNELS" = AudioLimits::default().max_channels, at_least_one;
+        "BAILANDO_MAX_CHANNELS" = AudioLimits::default().max_channels, plain;
     /// Longest time in seconds to decode one upload
     decode_timeout: Seconds ["decode_timeout_s" f64]
         "BAILANDO_DECODE_TIMEOUT" = Seconds(AudioLimits::default().max_decode_time);
@@ -323,9 +324,14 @@ fn number(text: &str, fits: impl FnOnce(f64) -> bool) -> Option<f64> {
     (value.is_finite() && fits(value)).then_some(value)
 }
 
-fn at_least_one(text: &str) -> Result<usize, String> {
-    match text.trim().parse() {
-        Ok(count) if count > 0 => Ok(count),
-        _ => Err("give a whole number above 0".to_owned()),
-    }
+fn whole(text: &str) -> Result<NonZeroUsize, String> {
+    at_least_one(text)
+}
+
+fn whole_u32(text: &str) -> Result<NonZeroU32, String> {
+    at_least_one(text)
+}
+
+fn plain(text: &str) -> Result<usize, String> {
+    whole(text).map(NonZeroUsize::get)
 }

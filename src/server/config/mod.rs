@@ -17,7 +17,7 @@ pub use self::{
     limits::{Limits, LimitsError},
     origin::Origin,
     storage::{Role, StorageConfig, StorageError},
-    units::{ByteSize, Seconds},
+    units::{ByteSize, Seconds, at_least_one},
 };
 use crate::{
     engine::{EngineConfig, Observer},
@@ -58,7 +58,7 @@ pub struct ServerConfig {
     #[arg(long, env = "BAILANDO_DEVICE", default_value_t = ServerConfig::default().device)]
     pub device: Device,
     /// Threads that compute one step of the model [default: all cores]
-    #[arg(long, env = "BAILANDO_THREADS")]
+    #[arg(long, env = "BAILANDO_THREADS", value_parser = at_least_one::<NonZeroUsize>)]
     pub threads: Option<NonZeroUsize>,
     /// Bounds of what callers may ask for.
     #[command(flatten)]
@@ -206,10 +206,15 @@ mod tests {
             ("--min-sample-rate", "0 -1 4294967296"),
             ("--max-sample-rate", "0"),
             ("--max-channels", "0 -1"),
+            ("--threads", "0 -1 two"),
+            ("--rate-limit", "0 -1 4294967296"),
+            ("--max-jobs", "0"),
         ] {
             for value in values.split(' ') {
                 let given = format!("{flag}={value}");
-                assert!(parse(&given).is_err(), "{given}");
+                let refused = parse(&given).map(|_| given).unwrap_err().to_string();
+                let says = refused.contains(": give a ") || refused.contains("is not in 1..");
+                assert!(says, "{refused}");
             }
         }
         assert!(parse("--min-audio-seconds=0").is_ok());

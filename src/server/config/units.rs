@@ -4,6 +4,15 @@ use std::{fmt, str::FromStr, time::Duration};
 
 use serde::{Serialize, Serializer};
 
+/// Parses a number of a type that has no 0, such as `NonZeroUsize`: what the standard library says
+/// of 0 speaks of types.
+///
+/// # Errors
+/// What is accepted.
+pub fn at_least_one<T: FromStr>(text: &str) -> Result<T, String> {
+    text.trim().parse().map_err(|_| "give a whole number above 0".to_owned())
+}
+
 /// A number of bytes; read from `25MB`, `512KiB` or plain bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(transparent)]
