@@ -55,9 +55,8 @@ impl RequestOptions {
     /// [`OptionError`] names the option and what is accepted.
     pub(crate) fn set(&mut self, name: &str, text: &str) -> Result<(), OptionError> {
         let refuse = |problem: String| Err(OptionError { name: shorten(name), problem });
-        let Some(option) = OPTIONS.iter().find(|option| option.name == name) else {
-            let all = names(OPTIONS.iter());
-            return refuse(format!("there is no such option; there are {all}"));
+        let Some(option) = option_named(name) else {
+            return refuse(format!("there is no such option; there are {}", option_names()));
         };
         if self.given.iter().any(|(given, _)| *given == option.name) {
             return refuse("it was given more than once".to_owned());
@@ -208,8 +207,17 @@ impl RequestOptions {
 
 /// Most bytes that are read of the value of the option of this name.
 pub(crate) fn longest_value(name: &str) -> usize {
-    let option = OPTIONS.iter().find(|option| option.name == name);
-    option.map_or(accepts::LONGEST_VALUE, |option| option.accepts.longest())
+    option_named(name).map_or(accepts::LONGEST_VALUE, |option| option.accepts.longest())
+}
+
+/// The option of this name, if there is one.
+pub(crate) fn option_named(name: &str) -> Option<&'static OptionSpec> {
+    OPTIONS.iter().find(|option| option.name == name)
+}
+
+/// The names of all options.
+pub(crate) fn option_names() -> String {
+    names(OPTIONS.iter())
 }
 
 fn names<'a>(options: impl Iterator<Item = &'a OptionSpec>) -> String {

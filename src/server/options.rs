@@ -13,7 +13,9 @@ use utoipa::{
 };
 
 use super::error::ServerError;
-pub(crate) use crate::options::{RequestOptions, longest_value, shorten};
+pub(crate) use crate::options::{
+    RequestOptions, longest_value, option_named, option_names, shorten,
+};
 use crate::{
     engine::accepted_styles,
     options::{Accepts, OPTIONS, OptionSpec},

@@ -242,6 +242,11 @@ async fn forms_with_small_mistakes_are_taken_or_told_what_is_wrong() {
         assert!(said.contains(wanted), "{said}");
     }
     succeed(&app, raw("root_motion=False&redo=True", "song")).await;
+    for name in ["audio", "File", "sede"] {
+        let said = refuse(&app, form("", &[(name, b"song")]), 400, "invalid_option").await;
+        assert!(said.contains(&format!("`{name}`")) && said.contains("part `file`"), "{said}");
+        assert!(said.contains("`rig`") && said.contains("seed"), "{said}");
+    }
 }
 
 #[tokio::test]

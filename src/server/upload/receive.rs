@@ -19,7 +19,7 @@ use crate::server::{
     config::{ByteSize, FORM_OVERHEAD, Limits},
     error::ServerError,
     jobs::{options::JobOptions, song::SongWriter},
-    options::{RequestOptions, longest_value, shorten},
+    options::{RequestOptions, longest_value, option_named, option_names, shorten},
     resources::UploadReservation,
     rig::RigParts,
 };
@@ -161,6 +161,7 @@ async fn receive_form(
             let value = read_value(field, &kept, longest_value(&name), limits).await?;
             let taken = job.as_mut().map_or(Ok(false), |job| job.take(&name, &value))?;
             if !taken {
+                option_named(&name).ok_or_else(|| no_such_part(&name))?;
                 options.set(&name, &value)?;
             }
         }
@@ -168,6 +169,18 @@ async fn receive_form(
     match is_empty {
         true => Err(ServerError::EmptyAudio),
         false => Ok(Upload { audio: audio.unwrap_or_default(), song, rig, options, job }),
+    }
+}
+
+/// The usual reason is a song in a part of another name.
+fn no_such_part(name: &str) -> ServerError {
+    ServerError::Option {
+        name: shorten(name),
+        problem: format!(
+            "there is no such part: the song goes in the part `file`, a character in `rig`, its \
+             bones in `rig_mapping`; other parts are options: {}",
+            option_names()
+        ),
     }
 }
 
