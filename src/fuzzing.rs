@@ -118,6 +118,7 @@ fn dance() -> GeneratedMotion {
         music: None,
         timings: Timings::default(),
         warnings: Vec::new(),
+        song_start_s: 0.0,
         continuation: None,
     }
 }

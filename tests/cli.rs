@@ -444,6 +444,22 @@ fn what_a_film_lacks_is_said_in_one_line() {
         let (code, said) = fail(&format!("render {arguments}"));
         assert!(matches!(code, Some(1 | 2)) && said.contains(wanted), "{arguments}: {said}");
     }
+    // The song is laid under the film from where the dance was made to.
+    #[cfg(unix)]
+    for (given, wanted) in [("", "-ss 3.5 "), ("--audio-offset-s 1", "-ss 1.5 ")] {
+        use std::os::unix::fs::PermissionsExt;
+        let [encoder, told] = ["encoder", "told"].map(|name| path(&folder, name));
+        fs::write(&encoder, format!("#!/bin/sh\necho \"$@\" >{told}\n")).expect("a script");
+        fs::set_permissions(&encoder, fs::Permissions::from_mode(0o755)).expect("a program");
+        let made = "--offset-s 3 --duration-s 1 --include-rotations";
+        succeed(&format!("generate {SONG} -o {dance} {made}"));
+        fail(&format!(
+            "render {dance} -o {film} --chromium true --ffmpeg {encoder} --audio {SONG} \
+             --start-s 0.5 {given}"
+        ));
+        let told = fs::read_to_string(&told).expect("ffmpeg was called");
+        assert!(told.contains(wanted), "{told}");
+    }
     // A browser that ends without a picture says so, at once.
     let (code, said) = fail(&format!("render {dance} -o {picture} --chromium true"));
     assert!(code == Some(1) && said.contains("true: the browser ended with exit"), "{said}");

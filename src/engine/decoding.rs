@@ -36,6 +36,8 @@ pub(crate) struct Prologue {
     pub(crate) seed: u64,
     pub(crate) prompt: Prompt,
     pub(crate) moved: Moved,
+    /// Where in the song the motion begins, in seconds.
+    pub(crate) song_start_s: f64,
     /// Frames of decoded motion that are wanted, once the length of the song is known.
     pub(crate) length: Option<usize>,
     pub(crate) music: Option<MusicInfo>,
@@ -58,6 +60,7 @@ impl Prologue {
             directory,
             seed,
             prompt: Prompt::of(options),
+            song_start_s: options.range.offset_s,
             moved: Moved { travels: options.root_motion, mirrored: options.mirror },
             length: None,
             music: None,
@@ -159,6 +162,7 @@ impl MotionBuffer {
             music: prologue.music.take(),
             timings: prologue.timings,
             warnings: std::mem::take(&mut prologue.warnings),
+            song_start_s: prologue.song_start_s,
             tail: tail.map(|tail| tail.with_seam(seam)),
         })
     }

@@ -104,6 +104,8 @@ pub struct GenerationOutput {
     pub timings: Timings,
     /// What was trimmed, truncated or assumed, in plain words.
     pub warnings: Vec<String>,
+    /// Seconds from the start of the song to the first frame.
+    pub song_start_s: f64,
     /// Where another dance can continue.
     pub tail: Option<Continuation>,
 }
@@ -142,6 +144,7 @@ impl GenerationOutput {
             music: self.music,
             timings: self.timings,
             warnings: self.warnings,
+            song_start_s: self.song_start_s,
             continuation: self.tail,
         }
     }

@@ -337,5 +337,6 @@ fn output(options: &GenerationOptions, frames: usize) -> GenerationOutput {
             motion: Duration::from_micros(500),
         },
         warnings: vec!["a warning".into()],
+        song_start_s: options.range.offset_s,
     }
 }

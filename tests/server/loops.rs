@@ -20,7 +20,8 @@ async fn loops(service: &Router, query: &str) -> (Vec<Vec<[f64; 3]>>, Value) {
 #[tokio::test(flavor = "multi_thread")]
 async fn bars_are_exact_and_a_loop_has_no_seam() {
     let service = service();
-    let (_, whole) = loops(&service, "seed=3&duration_s=14").await;
+    let (_, whole) = loops(&service, "seed=3&offset_s=2&duration_s=14").await;
+    assert_eq!(whole["song_start_s"], 2.0);
     let downbeats: Vec<f64> =
         serde_json::from_value(whole["music"]["downbeats_s"].clone()).unwrap();
     let frames: Vec<f64> = downbeats
@@ -28,11 +29,14 @@ async fn bars_are_exact_and_a_loop_has_no_seam() {
         .map(|bars| (bars[2] * 60.0).round() - (bars[0] * 60.0).round())
         .collect();
     for looped in [true, false] {
-        let query = format!("seed=3&duration_s=14&bars=2&loop={looped}");
+        let query = format!("seed=3&offset_s=2&duration_s=14&bars=2&loop={looped}");
         let (poses, dance) = loops(&service, &query).await;
         assert!(frames.contains(&(poses.len() as f64)), "{} of {frames:?}", poses.len());
         assert_eq!(dance["frames"], poses.len());
         assert_eq!(dance["music"]["downbeats_s"].as_array().unwrap().len(), 2, "{query}");
+        // To the frame.
+        let start = dance["song_start_s"].as_f64().unwrap() - 2.0;
+        assert!(downbeats.iter().any(|bar| (bar - start).abs() < 0.01), "{start} of {downbeats:?}");
         assert!(dance.get("tail").is_none_or(Value::is_null));
         assert!(dance["warnings"].to_string().contains("the clip is from"));
         if !looped {
@@ -54,9 +58,11 @@ async fn bars_are_exact_and_a_loop_has_no_seam() {
     let many = raw("duration_s=6&bars=60", song("demo.ogg"));
     let error = send(&service, many).await.expect_error(400, "invalid_option");
     assert!(error.starts_with("60 bars are wanted"), "{error}");
-    let stream = post("/generate/stream", "bars=2", song("demo.ogg"));
-    let error = send(&service, stream).await.expect_error(400, "invalid_option");
-    assert!(error.contains("option `loop`"), "{error}");
+    for (query, name) in [("bars=2", "bars"), ("loop=true", "loop")] {
+        let stream = post("/generate/stream", query, song("demo.ogg"));
+        let error = send(&service, stream).await.expect_error(400, "invalid_option");
+        assert!(error.contains(&format!("option `{name}`")), "{error}");
+    }
 }
 
 /// By how many radians the end of a clip differs from its start, of how many dances.

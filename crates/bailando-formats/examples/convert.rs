@@ -73,6 +73,7 @@ fn motion(kept: Kept) -> Result<GeneratedMotion, Box<dyn Error>> {
         music: None,
         timings: Timings::default(),
         warnings: Vec::new(),
+        song_start_s: 0.0,
         continuation: None,
     })
 }

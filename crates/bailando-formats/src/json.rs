@@ -36,6 +36,9 @@ pub struct MotionJson<'a> {
     frames: usize,
     /// `frames / fps`.
     duration_s: f64,
+    /// Seconds from the start of the song to the first frame: `offset_s`, and with `bars` or `loop`
+    /// the place of the bars that were chosen.
+    song_start_s: f64,
     skeleton: SkeletonJson<'a>,
     codes: &'a Codes,
     /// Style of the dance, or `mixed`; absent from a model without styles.
@@ -120,6 +123,7 @@ impl<'a> MotionJson<'a> {
             fps: animation.fps,
             frames,
             duration_s: frames as f64 / f64::from(animation.fps),
+            song_start_s: motion.song_start_s,
             skeleton: (&motion.skeleton).into(),
             codes: &motion.codes,
             style: motion.style.as_deref(),

@@ -27,6 +27,7 @@
 //!     music: None,
 //!     timings: Timings::default(),
 //!     warnings: Vec::new(),
+//!     song_start_s: 0.0,
 //!     continuation: None,
 //! };
 //! let bytes = to_json(&motion, &JsonOptions::default())?;

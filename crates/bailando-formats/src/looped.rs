@@ -172,6 +172,7 @@ impl GeneratedMotion {
             codes: Codes { upper: of_part(&self.codes.upper), lower: of_part(&self.codes.lower) },
             music,
             warnings,
+            song_start_s: self.song_start_s + start,
             continuation: None,
             ..self.clone()
         }
@@ -217,6 +218,7 @@ mod tests {
             }),
             timings: Timings { motion: std::time::Duration::from_millis(5), ..Timings::default() },
             warnings: Vec::new(),
+            song_start_s: 10.0,
             continuation: None,
         }
     }
@@ -241,6 +243,8 @@ mod tests {
         );
         let walked = clip.animation.root[29].x - clip.animation.root[0].x;
         assert!((walked - 0.1 * 29.0 / 30.0).abs() < 1e-4, "{walked}");
+        // The third bar of what was danced to from ten seconds on.
+        assert!((clip.song_start_s - 11.0).abs() < 1e-9, "{}", clip.song_start_s);
         let told = clip.warnings.last().unwrap();
         assert!(told.contains("9 places in 3 dances") && told.contains("the seed 8"), "{told}");
     }

@@ -90,6 +90,8 @@ pub struct GeneratedMotion {
     pub timings: Timings,
     /// What was trimmed, truncated or assumed, in plain words.
     pub warnings: Vec<String>,
+    /// Seconds from the start of the song to the first frame.
+    pub song_start_s: f64,
     /// The end, from which another motion can continue.
     pub continuation: Option<Continuation>,
 }

@@ -33,6 +33,9 @@ struct Header {
     /// Microseconds of queue, decode, features, inference and motion.
     timings_us: [u64; 5],
     warnings: Vec<String>,
+    /// What an earlier release stored has none.
+    #[serde(default)]
+    song_start_s: f64,
     tail: Option<String>,
 }
 
@@ -132,6 +135,7 @@ impl Header {
             }),
             timings_us: [queue, decode, features, inference, made].map(micros),
             warnings: motion.warnings.clone(),
+            song_start_s: motion.song_start_s,
             tail: motion.continuation.as_ref().map(crate::Continuation::to_text),
         }
     }
@@ -167,6 +171,7 @@ impl Header {
             }),
             timings: Timings { queue, decode, features, inference, motion },
             warnings: self.warnings,
+            song_start_s: self.song_start_s,
             // One that went too far has no text that can be read.
             continuation: self.tail.and_then(|tail| tail.parse().ok()),
         }

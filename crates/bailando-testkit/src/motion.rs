@@ -93,6 +93,7 @@ pub fn dance_of(decoded: &Array2<f32>, options: &FinishOptions) -> GeneratedMoti
         }),
         timings: Timings { inference: Duration::from_micros(12_345), ..Timings::default() },
         warnings: vec!["0.1 s of silence were trimmed".into()],
+        song_start_s: 2.5,
         continuation: None,
     }
 }

@@ -21,9 +21,10 @@ pub(in crate::cli) struct RenderArgs {
     /// The song, for the sound of an mp4
     #[arg(long, value_name = "SONG")]
     pub(super) audio: Option<PathBuf>,
-    /// Where in the song the dance begins, in seconds
-    #[arg(long, default_value_t = 0.0, value_parser = seconds)]
-    pub(super) audio_offset_s: f64,
+    /// Where in the song the dance begins, in seconds [default: where it was made to: the dance's
+    /// `song_start_s`]
+    #[arg(long, value_parser = seconds)]
+    pub(super) audio_offset_s: Option<f64>,
     /// Where in the dance the film begins, or which moment the picture shows
     #[arg(long, default_value_t = 0.0, value_parser = seconds)]
     pub(super) start_s: f64,

@@ -50,12 +50,12 @@ pub(super) enum Encoder {
 }
 
 impl Encoder {
-    /// Starts ffmpeg where it is needed.
+    /// Starts ffmpeg where it is needed, with the song from `sound_s` on.
     pub(super) fn start(
         args: &RenderArgs,
         kind: Kind,
-        fps: u32,
-        frames: u32,
+        (fps, frames): (u32, u32),
+        sound_s: f64,
     ) -> anyhow::Result<Self> {
         if kind == Kind::Png {
             return Ok(Self::Picture { path: args.output.clone() });
@@ -65,7 +65,10 @@ impl Encoder {
         command.args(["-f", "image2pipe", "-c:v", "png", "-framerate", &fps.to_string()]);
         command.args(["-i", "-"]);
         match kind {
-            Kind::Mp4 => film(&mut command, args, f64::from(frames) / f64::from(fps))?,
+            Kind::Mp4 => {
+                let sound = args.audio.as_deref().map(|song| (song, sound_s));
+                film(&mut command, sound, f64::from(frames) / f64::from(fps))?
+            }
             // Few colours, and only what has changed: a small file.
             Kind::Gif | Kind::Png => command.args([
                 "-filter_complex",
@@ -116,15 +119,14 @@ impl Encoder {
     }
 }
 
-/// A film of `seconds` that plays everywhere, with its sound.
+/// A film of `seconds` that plays everywhere, with its sound: a song from a moment on.
 fn film<'a>(
     command: &'a mut Command,
-    args: &RenderArgs,
+    sound: Option<(&Path, f64)>,
     seconds: f64,
 ) -> anyhow::Result<&'a mut Command> {
-    if let Some(song) = &args.audio {
+    if let Some((song, start)) = sound {
         fs::metadata(song).with_context(|| song.display().to_string())?;
-        let start = args.audio_offset_s + args.start_s;
         command.args(["-ss", &start.to_string(), "-t", &seconds.to_string(), "-i"]);
         command.arg(format!("file:{}", song.display()));
         command.args(["-map", "0:v", "-map", "1:a", "-c:a", "aac", "-b:a", "160k"]);

@@ -37,7 +37,8 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let fps = args.fps.unwrap_or(kind.fps());
     let frames = args.frames(&dance, kind, fps)?;
     let browser = Browser::find(args.chromium.as_deref())?;
-    let mut encoder = Encoder::start(args, kind, fps, frames)?;
+    let sound_s = args.audio_offset_s.unwrap_or(dance.song_start_s) + args.start_s;
+    let mut encoder = Encoder::start(args, kind, (fps, frames), sound_s)?;
     let runtime = Runtime::new()?;
     let shot = runtime.block_on(shoot(args, dance, &browser, &mut encoder, (fps, frames)));
     match (shot, encoder.end()) {
@@ -103,6 +104,8 @@ fn name(value: impl ValueEnum) -> String {
 struct Dance {
     json: Vec<u8>,
     seconds: f64,
+    /// Where in the song it begins.
+    song_start_s: f64,
 }
 
 impl Dance {
@@ -111,6 +114,9 @@ impl Dance {
         struct Head {
             frames: u32,
             fps: u32,
+            /// What an earlier release wrote has none.
+            #[serde(default)]
+            song_start_s: f64,
             rotations: Option<serde::de::IgnoredAny>,
             root: Option<serde::de::IgnoredAny>,
         }
@@ -124,7 +130,8 @@ impl Dance {
                            `include=rotations`";
             return Err(Usage(format!("{}: {problem}", place())).into());
         }
-        Ok(Self { json, seconds: f64::from(head.frames) / f64::from(head.fps.max(1)) })
+        let seconds = f64::from(head.frames) / f64::from(head.fps.max(1));
+        Ok(Self { json, seconds, song_start_s: head.song_start_s.max(0.0) })
     }
 }
 

@@ -47,6 +47,7 @@ fn dance() -> (GeneratedMotion, Positions) {
         music: None,
         timings: Timings::default(),
         warnings: Vec::new(),
+        song_start_s: 0.0,
         continuation: None,
     };
     (motion, positions)
