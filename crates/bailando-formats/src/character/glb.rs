@@ -24,8 +24,10 @@ use crate::{
 const FLOAT: u32 = 5126;
 /// Most buffers that are looked at.
 const BUFFERS: usize = 1000;
+/// Most animations that are looked at.
+const ANIMATIONS: usize = 1000;
 
-/// A GLB or VRM file that gets one more animation.
+/// A GLB or VRM file that gets one more animation, in the place of an earlier dance if it has one.
 #[derive(Clone, Debug)]
 pub(super) struct GlbFile {
     bytes: Vec<u8>,
@@ -297,9 +299,28 @@ impl GlbFile {
         splice.append("accessors", root.accessors, &added.accessors)?;
         let Added { samplers, channels, .. } = &added;
         let new = json!({ "name": TAKE, "samplers": samplers, "channels": channels }).to_string();
-        splice.append("animations", root.animations, &[new])?;
+        match earlier_take(&root)? {
+            Some(earlier) => splice.replace(earlier, new),
+            None => splice.append("animations", root.animations, &[new])?,
+        }
         self.chunks.with(&self.bytes, &splice.finish(), &added.bytes)
     }
+}
+
+/// The animation of an earlier dance: programs that look for one by its name would find either.
+fn earlier_take<'a>(root: &Document<'a>) -> Result<Option<&'a RawValue>, FormatError> {
+    #[derive(Deserialize)]
+    struct Named {
+        name: String,
+    }
+    if splice::count("animations", root.animations)? > ANIMATIONS {
+        return Ok(None);
+    }
+    let all: Vec<&RawValue> = splice::array("animations", root.animations, ANIMATIONS)?;
+    let is_take = |animation: &&RawValue| {
+        serde_json::from_str::<Named>(animation.get()).is_ok_and(|named| named.name == TAKE)
+    };
+    Ok(all.into_iter().find(is_take))
 }
 
 /// A node that is animated must not have a matrix (glTF 2.0, section 3.11): its parts instead.
