@@ -284,7 +284,7 @@ onPage('every format is downloaded, and the command is copied', {}, async (page,
   const command = await page.evaluate(() => navigator.clipboard.readText());
   assert.equal(
     command,
-    `curl -F 'file=@"my song.wav"' -F seed=11 -F format=bvh ` +
+    `curl --fail-with-body -F 'file=@"my song.wav"' -F seed=11 -F format=bvh ` +
       `${running.server.address}generate -o 'my song.bvh'`,
   );
 });

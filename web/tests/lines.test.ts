@@ -27,7 +27,7 @@ test('packed numbers are little-endian float32', () => {
 test('the command survives a shell', () => {
   const options = { seed: '7', style: "can't" };
   expect(curl('http://h/generate', 'my "song".mp3', options, 'bvh')).toBe(
-    `curl -F 'file=@"my \\"song\\".mp3"' -F seed=7 -F 'style=can'\\''t' -F format=bvh ` +
+    `curl --fail-with-body -F 'file=@"my \\"song\\".mp3"' -F seed=7 -F 'style=can'\\''t' -F format=bvh ` +
       `http://h/generate -o 'my "song".bvh'`,
   );
 });

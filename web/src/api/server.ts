@@ -119,7 +119,7 @@ export function curl(address: string, song: string, options: Options, format: st
   const file = `file=@"${song.replace(/(["\\])/g, '\\$1')}"`;
   const forms = options.codes === undefined ? [file, ...parts] : parts;
   const form = forms.map((part) => `-F ${quote(part)}`).join(' ');
-  return `curl ${form} ${quote(address)} -o ${quote(`${stem}.${format}`)}`;
+  return `curl --fail-with-body ${form} ${quote(address)} -o ${quote(`${stem}.${format}`)}`;
 }
 
 /** Quotes for a POSIX shell where that is needed. */
