@@ -285,14 +285,25 @@ fn pipes_folders_in_folders_and_contradictions() {
     piped.stdin(fs::File::open(project(WAV)).expect("the song"));
     let (dance, said) = succeeds(piped);
     assert!(dance.starts_with("HIERARCHY") && said.is_empty(), "{said}");
-    for name in ["songs/a.wav", "songs/deep/er/a.wav", "songs/deep/a.wav", "songs/deep/b.mp3"] {
+    for name in [
+        "songs/a.wav",
+        "songs/deep/er/a.wav",
+        "songs/deep/a.wav",
+        "songs/deep/b.mp3",
+        "songs/c.mkv",
+        "songs/d.3gp",
+        "songs/cover.jpg",
+        "songs/deep/notes.txt",
+    ] {
         let file = folder.path().join(name);
         fs::create_dir_all(file.parent().expect("a folder")).expect("a folder");
         fs::write(file, &song).expect("a song");
     }
     let (songs, out) = (path(&folder, "songs"), path(&folder, "out"));
-    succeed(&format!("generate {songs} --out-dir {out} --recursive --format npy"));
-    for name in ["a.npy", "deep/a.npy", "deep/b.npy", "deep/er/a.npy"] {
+    let all = format!("generate {songs} --out-dir {out} --recursive --format npy");
+    let (_, said) = succeeds(in_project(&all));
+    assert!(said.contains("songs: files of other kinds skipped: 2"), "{said}");
+    for name in ["c.npy", "d.npy", "a.npy", "deep/a.npy", "deep/b.npy", "deep/er/a.npy"] {
         assert!(folder.path().join("out").join(name).is_file(), "{name}");
     }
     // Two songs of one name: the second one is named, the third is danced to.
