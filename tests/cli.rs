@@ -117,6 +117,18 @@ fn a_batch_makes_what_is_missing_and_says_what_failed() {
     succeed(&batch);
     let report = json(&format!("{out}/report.json"));
     assert_eq!(report["there"].as_array().map(Vec::len), Some(1), "{report}");
+    assert_eq!(report["made_otherwise"], serde_json::json!([]), "{report}");
+    // Other options: the dance is kept, and that is said.
+    let other = format!("{batch} --fps 30");
+    let (_, said) = succeeds(in_project(&other));
+    assert!(said.contains("made with other options: 1; --again"), "{said}");
+    let report = json(&format!("{out}/report.json"));
+    assert_eq!(report["made_otherwise"].as_array().map(Vec::len), Some(1), "{report}");
+    assert_eq!(fs::read(format!("{out}/below/good.bvh")).expect("a dance"), made);
+    let (_, said) = succeeds(in_project(&format!("{other} --again")));
+    assert!(!said.contains("other options"), "{said}");
+    let (_, said) = succeeds(in_project(&other));
+    assert!(!said.contains("other options"), "{said}");
     let nobody = format!("{batch} --server ftp://nobody");
     assert_eq!(fail(&nobody).0, Some(2));
 }

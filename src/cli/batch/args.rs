@@ -48,6 +48,26 @@ pub(in crate::cli) struct BatchArgs {
     pub(super) threads: Option<NonZeroUsize>,
 }
 
+impl BatchArgs {
+    /// Format and options, as the query of an order.
+    pub(super) fn query(&self) -> String {
+        let mut query = format!("format={}", self.format.name());
+        for (name, text) in self.options.given() {
+            query.push_str(&format!("&{name}={}", percent_encoded(text)));
+        }
+        query
+    }
+}
+
+fn percent_encoded(text: &str) -> String {
+    let keep = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
+    let encoded = |byte: u8| match keep(byte) {
+        true => char::from(byte).to_string(),
+        false => format!("%{byte:02X}"),
+    };
+    text.bytes().map(encoded).collect()
+}
+
 fn format(name: &str) -> Result<OutputFormat, String> {
     let names = || OutputFormat::ALL.map(OutputFormat::name).join(", ");
     name.parse().map_err(|_| format!("expected one of {}", names()))

@@ -3,6 +3,7 @@
 mod args;
 mod dancer;
 mod local;
+mod record;
 mod remote;
 mod report;
 
@@ -19,10 +20,11 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 pub(super) use self::args::BatchArgs;
 use self::{
     dancer::Dancer,
+    record::Record,
     report::{Outcome, Report},
 };
 use super::{
-    console::{Talk, note, with_causes},
+    console::{Talk, note, say_error, with_causes},
     inputs::{Input, audio_files},
     output::{FileFormat, targets_in},
 };
@@ -34,6 +36,7 @@ pub(super) fn run(args: &BatchArgs) -> anyhow::Result<()> {
         Some(server) => Box::new(remote::Remote::new(server, args)?),
         None => Box::new(local::Local::open(args)?),
     };
+    let record = Record::open(&args.out_dir, args.query())?;
     let bar = bar(inputs.len());
     let report = Mutex::new(Report::default());
     let songs: Mutex<Vec<_>> = Mutex::new(inputs.iter().zip(targets).rev().collect());
@@ -43,7 +46,7 @@ pub(super) fn run(args: &BatchArgs) -> anyhow::Result<()> {
             scope.spawn(|| {
                 while let Some((input, target)) = next() {
                     let outcome = match target {
-                        Ok((target, _)) => one(args, dancer.as_ref(), input, &target),
+                        Ok((target, _)) => one((args, dancer.as_ref()), &record, input, &target),
                         Err(wrong) => Outcome::Failed(wrong.to_string()),
                     };
                     if let Outcome::Failed(why) = &outcome {
@@ -61,21 +64,30 @@ pub(super) fn run(args: &BatchArgs) -> anyhow::Result<()> {
     let report = report.into_inner().unwrap_or_else(PoisonError::into_inner);
     let file = args.report.clone().unwrap_or_else(|| args.out_dir.join("report.json"));
     report.write(&file)?;
+    if let Some(warning) = report.warning() {
+        say_error(&format!("warning: {warning}"));
+    }
     note(&format!("{}; {}", report.summary(), file.display()));
     anyhow::ensure!(report.failed() == 0, "{} of {} songs failed", report.failed(), inputs.len());
     Ok(())
 }
 
 /// Results appear under their names only when they are complete, so that what is there is done.
-fn one(args: &BatchArgs, dancer: &dyn Dancer, input: &Input, target: &Path) -> Outcome {
+fn one(
+    (args, dancer): (&BatchArgs, &dyn Dancer),
+    record: &Record,
+    input: &Input,
+    target: &Path,
+) -> Outcome {
     if target.exists() && !args.again {
-        return Outcome::There;
+        return if record.differs(target) { Outcome::Otherwise } else { Outcome::There };
     }
     let mut part = target.as_os_str().to_os_string();
     part.push(".part");
     let part = PathBuf::from(part);
     let made = dancer
         .dance(&input.path, &part)
+        .and_then(|()| record.note(target))
         .and_then(|()| fs::rename(&part, target).with_context(|| target.display().to_string()));
     match made {
         Ok(()) => Outcome::Made,

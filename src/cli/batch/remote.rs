@@ -45,15 +45,11 @@ impl Remote {
             .http_status_as_error(false)
             .timeout_connect(Some(Duration::from_secs(10)))
             .timeout_recv_response(Some(Duration::from_secs(150)));
-        let mut query = format!("format={}", args.format.name());
-        for (name, text) in args.options.given() {
-            query.push_str(&format!("&{name}={}", percent_encoded(text)));
-        }
         Ok(Self {
             agent: Agent::new_with_config(config.build()),
             server: server.trim_end_matches('/').to_owned(),
             key: args.api_key.clone().filter(|key| !key.is_empty()),
-            query,
+            query: args.query(),
         })
     }
 
@@ -100,8 +96,7 @@ impl Remote {
 
     /// Orders a song; where the job is asked about.
     fn order(&self, song: &Path) -> anyhow::Result<String> {
-        let named = || song.display().to_string();
-        let key = self.idempotency_key(song).with_context(named)?;
+        let key = self.idempotency_key(song)?;
         let url = format!("{}/jobs?{}", self.server, self.query);
         let mut answer = self.ask(&|api_key| {
             let file = File::open(song)?;
@@ -192,13 +187,4 @@ fn said(answer: &mut Response<Body>) -> anyhow::Error {
         Some(error) => anyhow::anyhow!("{error}"),
         None => anyhow::anyhow!("the server answered {status}"),
     }
-}
-
-fn percent_encoded(text: &str) -> String {
-    let keep = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
-    let encoded = |byte: u8| match keep(byte) {
-        true => char::from(byte).to_string(),
-        false => format!("%{byte:02X}"),
-    };
-    text.bytes().map(encoded).collect()
 }

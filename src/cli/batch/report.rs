@@ -11,6 +11,8 @@ pub(super) enum Outcome {
     Made,
     /// By an earlier run.
     There,
+    /// By an earlier run with other options.
+    Otherwise,
     /// Why.
     Failed(String),
 }
@@ -20,6 +22,8 @@ pub(super) enum Outcome {
 pub(super) struct Report {
     made: Vec<String>,
     there: Vec<String>,
+    /// Those of `there` that were made with other options.
+    made_otherwise: Vec<String>,
     failed: Vec<Failure>,
 }
 
@@ -35,12 +39,26 @@ impl Report {
         match outcome {
             Outcome::Made => self.made.push(song),
             Outcome::There => self.there.push(song),
+            Outcome::Otherwise => {
+                self.there.push(song.clone());
+                self.made_otherwise.push(song);
+            }
             Outcome::Failed(error) => self.failed.push(Failure { song, error }),
         }
     }
 
     pub(super) fn failed(&self) -> usize {
         self.failed.len()
+    }
+
+    /// What the caller may not expect.
+    pub(super) fn warning(&self) -> Option<String> {
+        let count = self.made_otherwise.len();
+        (count > 0).then(|| {
+            format!(
+                "dances kept that were made with other options: {count}; --again makes them again"
+            )
+        })
     }
 
     pub(super) fn summary(&self) -> String {
