@@ -23,7 +23,7 @@ pub(crate) struct StoredOrder {
     options: Vec<(Cow<'static, str>, String)>,
     /// Format that the result has unless another is asked for.
     format: Cow<'static, str>,
-    /// Hash of what was sent: an idempotency key stands for one request only.
+    /// Hash of what was sent: an idempotency key stands for one request only, whatever the model.
     pub(crate) fingerprint: String,
 }
 
@@ -58,28 +58,26 @@ impl StoredOrder {
             .map(|(name, given)| (Cow::Borrowed(*name), text(name, given)))
             .collect();
         pairs.sort();
-        let key = |pairs: &[(Cow<'static, str>, String)]| {
+        let key = |pairs: &[(Cow<'static, str>, String)], model: Option<&str>| {
             let mut hash = Sha256::new();
             hash.update(song);
+            let pairs = pairs.iter().flat_map(|(name, text)| [name.as_ref(), text]);
             // Lengths first, so that no two lists have the same bytes.
-            for text in [model, format.name()] {
-                hash.update((text.len() as u64).to_le_bytes());
-                hash.update(text);
-            }
-            for text in pairs.iter().flat_map(|(name, text)| [name.as_ref(), text]) {
+            for text in model.into_iter().chain([format.name()]).chain(pairs) {
                 hash.update((text.len() as u64).to_le_bytes());
                 hash.update(text);
             }
             hex(&hash.finalize())
         };
-        let fingerprint = key(&pairs);
+        // The caller did not send the model, which may be updated between two tries.
+        let fingerprint = key(&pairs, None);
         let repeats = pairs.iter().any(|(name, _)| name == "seed");
         if !repeats {
             let seed = Uuid::new_v4().as_u128() % (u128::from(MAX_SEED) + 1);
             pairs.push((Cow::Borrowed("seed"), seed.to_string()));
             pairs.sort();
         }
-        let content_key = if repeats { fingerprint.clone() } else { key(&pairs) };
+        let content_key = key(&pairs, Some(model));
         let format = Cow::Borrowed(format.name());
         Prepared { order: Self { options: pairs, format, fingerprint }, content_key, repeats }
     }
@@ -218,6 +216,12 @@ mod tests {
         let other = prepared(&[("fps", "30"), ("bvh_unit", "m")], b"song", "model");
         assert_eq!(one.order.fingerprint, other.order.fingerprint);
         assert_ne!(one.content_key, other.content_key, "each has a seed of its own");
+        let updated = prepared(&[("fps", "30"), ("bvh_unit", "m")], b"song", "another");
+        assert_eq!(one.order.fingerprint, updated.order.fingerprint);
+        for (options, audio) in [(("fps", "24"), &b"song"[..]), (("fps", "30"), b"sung")] {
+            let changed = prepared(&[options, ("bvh_unit", "m")], audio, "model");
+            assert_ne!(one.order.fingerprint, changed.order.fingerprint);
+        }
     }
 
     #[test]
