@@ -72,6 +72,15 @@ pub enum StorageError {
     /// Roles that are apart share nothing.
     #[error("--role api and --role worker need what they share: give --data-dir or --database")]
     NothingShared,
+    /// Jobs in memory have no use for a database or a store alone.
+    #[error(
+        "--data-dir none keeps jobs in memory: leave out {given}, or name a data directory, or \
+         give both --database and --storage"
+    )]
+    InMemory {
+        /// The setting that was given.
+        given: &'static str,
+    },
     /// Callbacks could not be told from those of others.
     #[error("--callback-allow needs --callback-secret, which callbacks are signed with")]
     NoSecret,
@@ -86,9 +95,17 @@ impl StorageConfig {
     /// Checks the settings, without a look at disk or network.
     ///
     /// # Errors
-    /// [`StorageError::NothingShared`], [`StorageError::NoSecret`], [`StorageError::Secret`].
+    /// [`StorageError::NothingShared`], [`StorageError::InMemory`], [`StorageError::NoSecret`],
+    /// [`StorageError::Secret`].
     pub fn check(&self) -> Result<(), StorageError> {
         let in_memory = self.data_dir.as_deref() == Some(Path::new(NONE));
+        if in_memory {
+            match (&self.database, &self.storage) {
+                (Some(_), None) => return Err(StorageError::InMemory { given: "--database" }),
+                (None, Some(_)) => return Err(StorageError::InMemory { given: "--storage" }),
+                _ => {}
+            }
+        }
         let shares = self.database.is_some() || (self.data_dir.is_some() && !in_memory);
         if self.role != Role::All && !shares {
             return Err(StorageError::NothingShared);
@@ -173,6 +190,17 @@ mod tests {
     fn settings_that_contradict_each_other_are_refused() {
         let apart = StorageConfig { role: Role::Worker, ..StorageConfig::default() };
         assert!(matches!(apart.check(), Err(StorageError::NothingShared)));
+        let none = config(Path::new("none"));
+        let [url, store] = ["sqlite://jobs.sqlite", "s3://songs"].map(|url| Some(url.to_owned()));
+        let database = StorageConfig { database: url.clone(), ..none.clone() };
+        let said = database.check().unwrap_err().to_string();
+        assert!(said.contains("leave out --database,"), "{said}");
+        let storage = StorageConfig { storage: store.clone(), ..none.clone() };
+        let said = storage.check().unwrap_err().to_string();
+        assert!(said.contains("leave out --storage,"), "{said}");
+        // Nothing is left that would be kept in a folder.
+        let both = StorageConfig { database: url, storage: store, ..none };
+        assert!(both.check().is_ok());
         let unsigned =
             StorageConfig { callback_allow: vec!["*".to_owned()], ..StorageConfig::default() };
         assert!(matches!(unsigned.check(), Err(StorageError::NoSecret)));
