@@ -15,7 +15,7 @@ use bailando::server::{Limits, Seconds};
 use serde_json::Value;
 
 use crate::server::{
-    client::{app, eventually, get, post, raw, send, small_limits, until_counted},
+    client::{app, eventually, get, post, raw, send, small_limits, until_counted, with},
     fake::{BLOCK, Fake, PANIC},
     lifecycle::{Server, get as get_bytes, post_to},
 };
@@ -184,6 +184,25 @@ async fn a_deleted_job_stops_its_work() {
     assert!(fake.saw_cancel.load(Ordering::SeqCst));
     assert_eq!(send(&app, raw("", "song")).await.status, StatusCode::OK);
     assert_eq!(fake.generations.load(Ordering::SeqCst), 2);
+}
+
+/// Each job in memory is waited for by one task, however often it is ordered again.
+#[tokio::test]
+async fn an_order_that_is_sent_again_leaves_nothing_behind() {
+    let app = app(&Fake::new(), &Limits::default());
+    let ordered = async || {
+        let keyed = with(post("/jobs", "", "song"), "idempotency-key", "one");
+        let accepted = send(&app, keyed).await;
+        assert_eq!(accepted.status, StatusCode::ACCEPTED, "{}", accepted.json());
+        accepted
+    };
+    let path = ordered().await.header("location").to_owned();
+    after(&app, &path, &["queued", "running"]).await;
+    for _ in 0..50 {
+        assert_eq!(ordered().await.header("idempotency-replayed"), "true");
+    }
+    let tasks = || tokio::runtime::Handle::current().metrics().num_alive_tasks();
+    eventually("no task is left of them", async || (tasks() < 50).then_some(())).await;
 }
 
 #[tokio::test]

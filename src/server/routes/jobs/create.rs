@@ -94,7 +94,9 @@ pub(crate) async fn create(
     let location = HeaderValue::try_from(format!("/jobs/{}", job.id))
         .map_err(|error| ServerError::Internal(error.to_string()))?;
     let status = JobStatus::of(&state.jobs, &job)?;
-    keep_alive(&state, &job, under_way);
+    if !replayed {
+        keep_alive(&state, &job, under_way);
+    }
     let mut response =
         (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(status)).into_response();
     if replayed {
