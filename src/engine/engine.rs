@@ -16,7 +16,7 @@ use super::{
     effort::DecodeEffort,
     form::Form,
     frontend::AudioFrontend,
-    given::check_music,
+    given::{check_length, check_music},
     prepare::{AcceptedRequest, AudioRequest, Preparer},
     queue::Queue,
     sampler::draw_seed,
@@ -37,7 +37,8 @@ pub const DEFAULT_BATCH: NonZeroUsize = NonZeroUsize::MIN.saturating_add(15);
 /// threads agree (`bailando bench`).
 const SMALL_GPT: u64 = 8 << 20;
 
-/// Checks `options` against a model of this SHA-256 whose steps have so many rows.
+/// Checks `options` against a model of this SHA-256 whose steps have so many rows, for dances of at
+/// most so many seconds.
 ///
 /// # Errors
 /// [`EngineError::Option`] names the first option that does not fit.
@@ -46,8 +47,10 @@ pub fn check_options(
     manifest: &Manifest,
     model_sha256: &str,
     rows: usize,
+    most_seconds: f64,
 ) -> Result<(), EngineError> {
     options.check(manifest, rows)?;
+    check_length(options, manifest, most_seconds)?;
     match &options.continue_from {
         Some(tail) if !tail.is_of(model_sha256) => Err(EngineError::Option {
             name: "continue_from",
@@ -215,9 +218,9 @@ impl Engine {
     /// # Errors
     /// [`EngineError::Option`] names the first option that does not fit.
     pub fn check(&self, options: &GenerationOptions) -> Result<(), EngineError> {
-        let rows = self.shared.preparer.rows;
-        check_options(options, self.manifest(), self.model_sha256(), rows)?;
-        self.shared.preparer.check_length(options)
+        let preparer = &self.shared.preparer;
+        let (rows, most) = (preparer.rows, preparer.frontend.max_seconds());
+        check_options(options, self.manifest(), self.model_sha256(), rows, most)
     }
 
     /// Submits a request. The returned future gives its output; dropping it cancels the request,

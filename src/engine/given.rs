@@ -15,7 +15,10 @@ use super::{
     frontend::Selection,
     prepare::{AcceptedRequest, Preparer, decoded_length},
 };
-use crate::{formats::Codes, model::code_pairs};
+use crate::{
+    formats::Codes,
+    model::{Manifest, code_pairs},
+};
 
 /// Refuses options that do not go with the music.
 pub(super) fn check_music(
@@ -36,21 +39,24 @@ pub(super) fn check_music(
     Err(EngineError::Option { name, problem: problem.into() })
 }
 
-impl Preparer {
-    /// Refuses codes for a dance that is longer than the longest song.
-    pub(super) fn check_length(&self, options: &GenerationOptions) -> Result<(), EngineError> {
-        let Some(codes) = &options.codes else {
-            return Ok(());
-        };
-        let seconds = codes.upper.len() as f64 / self.directory.manifest().codes_per_second();
-        let most = self.frontend.max_seconds();
-        if options.range.duration_s.unwrap_or(seconds).min(seconds) <= most {
-            return Ok(());
-        }
-        let problem = format!("they last {seconds:.1} s, and at most {most} s are accepted");
-        Err(EngineError::Option { name: "codes", problem })
+/// Refuses codes for a dance that is longer than the longest song, of `most` seconds.
+pub(super) fn check_length(
+    options: &GenerationOptions,
+    manifest: &Manifest,
+    most: f64,
+) -> Result<(), EngineError> {
+    let Some(codes) = &options.codes else {
+        return Ok(());
+    };
+    let seconds = codes.upper.len() as f64 / manifest.codes_per_second();
+    if options.range.duration_s.unwrap_or(seconds).min(seconds) <= most {
+        return Ok(());
     }
+    let problem = format!("they last {seconds:.1} s, and at most {most} s are accepted");
+    Err(EngineError::Option { name: "codes", problem })
+}
 
+impl Preparer {
     /// Decodes the codes of the caller. A song is listened to for what is told of it.
     ///
     /// # Errors
