@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use sqlx::Row;
 use uuid::Uuid;
 
 use super::{
@@ -25,7 +26,8 @@ impl JobTable {
     /// taken again after `lease`, unless [`JobTable::reported`] says how it went.
     ///
     /// # Errors
-    /// As [`JobTable::find`].
+    /// [`JobsError::Database`]; [`JobsError::Record`] for a row that cannot be read, of which
+    /// nothing is reported.
     pub async fn due_callback(
         &self,
         lease: Duration,
@@ -37,7 +39,15 @@ impl JobTable {
         };
         let now = now();
         let due = sqlx::query(statement).bind(after(now, lease)).bind(now).bind(named(full));
-        self.record(due).await
+        let Some(row) = self.row(due).await? else { return Ok(None) };
+        let read = JobRecord::read(&row);
+        if read.is_err() {
+            // It would be tried for as long as the job is kept.
+            let change = "UPDATE jobs SET callback_after = NULL WHERE id = $1";
+            let id: String = row.try_get("id")?;
+            self.change(sqlx::query(change).bind(id)).await?;
+        }
+        read.map(Some)
     }
 
     /// Says that the end of a job was reported, or will be tried again after `again`.

@@ -141,7 +141,8 @@ impl JobTable {
         match self.record(taken).await {
             Ok(job) => Ok(job.map(|job| Lease { job, token })),
             Err(error) => {
-                if !matches!(error, JobsError::Database(sqlx::Error::PoolTimedOut)) {
+                // After any other error, the job is taken again once its lease has ended.
+                if error.is_unreadable() {
                     self.bury(id, token).await?;
                 }
                 Err(error)
@@ -151,8 +152,11 @@ impl JobTable {
 
     /// Fails a job that was taken with this token and whose row cannot be read.
     async fn bury(&self, id: String, token: String) -> Result<(), JobsError> {
-        const CHANGE: &str = "UPDATE jobs SET state = 'failed', finished_at = $1, lease = NULL, \
-             error_json = NULL WHERE id = $2 AND lease = $3";
+        const CHANGE: &str = "UPDATE jobs SET state = 'failed', error_json = NULL, \
+             order_bytes = LENGTH(order_json), result_bytes = 0, finished_at = $1, lease = NULL, \
+             lease_until = NULL, stage = NULL, \
+             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($1 AS BIGINT) END \
+             WHERE id = $2 AND lease = $3";
         let change = sqlx::query(CHANGE).bind(now()).bind(id).bind(token);
         self.change(change).await.map(drop)
     }

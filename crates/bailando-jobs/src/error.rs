@@ -63,9 +63,41 @@ impl JobsError {
         code.is_some_and(|code| code & 0xff == SQLITE_BUSY)
     }
 
+    /// Whether a row was given that does not hold what this release reads there, as opposed to a
+    /// database that failed.
+    pub(crate) fn is_unreadable(&self) -> bool {
+        let Self::Database(error) = self else { return matches!(self, Self::Record { .. }) };
+        matches!(
+            error,
+            sqlx::Error::ColumnDecode { .. }
+                | sqlx::Error::ColumnNotFound(_)
+                | sqlx::Error::Decode(_)
+        )
+    }
+
     /// Whether a file or a record is missing or broken, as opposed to a fault that passes.
     #[must_use]
     pub fn is_lasting(&self) -> bool {
         matches!(self, Self::NoFile { .. } | Self::Record { .. } | Self::Schema { .. })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_database_that_fails_says_nothing_about_a_row() {
+        let name = String::new;
+        assert!(JobsError::Record { id: name(), problem: name() }.is_unreadable());
+        let decode = sqlx::Error::ColumnDecode { index: name(), source: "no text".into() };
+        for unreadable in [decode, sqlx::Error::ColumnNotFound(name())] {
+            assert!(JobsError::Database(unreadable).is_unreadable());
+        }
+        let broken_off = std::io::Error::from(std::io::ErrorKind::ConnectionReset);
+        let broken_off = sqlx::Error::Io(broken_off);
+        for passes in [broken_off, sqlx::Error::PoolTimedOut, sqlx::Error::WorkerCrashed] {
+            assert!(!JobsError::Database(passes).is_unreadable());
+        }
     }
 }

@@ -308,7 +308,7 @@ fn a_row_that_cannot_be_read_is_a_failed_job() {
     with_each(async |jobs| {
         let broken = insert(&jobs, NewJob { priority: 9, ..job("me") }).await;
         let whole = insert(&jobs, job("me")).await;
-        let spoil = sqlx::query("UPDATE jobs SET codes_total = -1, order_bytes = -5 WHERE id = $1");
+        let spoil = sqlx::query("UPDATE jobs SET codes_total = -1, faults = -5 WHERE id = $1");
         assert!(jobs.change(spoil.bind(broken.to_string())).await.unwrap());
         let error = jobs.claim(&claim(LONG)).await.unwrap_err();
         assert!(matches!(error, JobsError::Record { .. }), "{error}");
@@ -317,7 +317,7 @@ fn a_row_that_cannot_be_read_is_a_failed_job() {
         let failed = jobs.count().await.unwrap();
         assert!(failed.contains(&(State::Failed, 1)), "{failed:?}");
         let said = jobs.find(broken).await.unwrap_err().to_string();
-        assert!(said.contains(&broken.to_string()) && said.contains("order_bytes"), "{said}");
+        assert!(said.contains(&broken.to_string()) && said.contains("faults"), "{said}");
         let listing = Listing {
             owner: "me".to_owned(),
             state: None,
@@ -346,3 +346,21 @@ fn a_database_that_comes_back_is_used_again() {
         never_up.open().await.unwrap();
     });
 }
+#[test]
+fn the_end_of_a_job_that_cannot_be_read_is_reported_if_that_can_be() {
+    with_each(async |jobs| {
+        jobs.open().await.unwrap();
+        for (spoil, is_told) in [("order_bytes = -5", true), ("faults = -5", false)] {
+            let url = Some("https://example.org".to_owned());
+            let id = insert(&jobs, NewJob { callback_url: url, ..job("me") }).await;
+            let spoil = sqlx::AssertSqlSafe(format!("UPDATE jobs SET {spoil}"));
+            assert!(jobs.change(sqlx::query(spoil)).await.unwrap());
+            jobs.claim(&claim(LONG)).await.unwrap_err();
+            let due = jobs.due_callback(Duration::ZERO, &[]).await;
+            assert_eq!(due.is_ok_and(|due| due.is_some_and(|due| due.id == id)), is_told);
+            assert!(is_told || jobs.due_callback(LONG, &[]).await.unwrap().is_none());
+            assert!(jobs.delete(id).await.unwrap());
+        }
+    });
+}
+
