@@ -137,7 +137,7 @@ impl ServerState {
     ) -> SharedState {
         Arc::new(Self {
             loaded: OnceLock::new(),
-            resources: Arc::new(Resources::new(&limits, &metrics)),
+            resources: Arc::new(Resources::new(&limits, jobs.role, &metrics)),
             jobs: Arc::new(Jobs::new(jobs.storage, &limits)),
             callbacks: jobs.callbacks,
             role: jobs.role,

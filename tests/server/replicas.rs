@@ -116,6 +116,34 @@ async fn what_matters_more_is_done_first() {
     stop(api).await;
 }
 
+/// All of its places are for jobs, and none waits in one for its client's turn.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_worker_takes_the_jobs_that_it_can_begin_and_leaves_others_the_rest() {
+    for (client_share, at_once) in [(1.0, 4), (0.75, 3)] {
+        let (folder, fakes) = (tempfile::tempdir().unwrap(), [Fake::new(), Fake::new()]);
+        let api = server(&fakes[0], in_folder(folder.path()).await, Role::Api).await;
+        let mut paths = Vec::new();
+        for _ in 0..=at_once {
+            paths.push(order(&api, "", BLOCK).await);
+        }
+        let mut workers = Vec::new();
+        for (fake, begun) in fakes.iter().zip([at_once, 1]) {
+            let max_concurrent_requests = NonZeroUsize::new(4).unwrap();
+            let limits = Limits { client_share, max_concurrent_requests, ..Limits::default() };
+            let storage = in_folder(folder.path()).await;
+            workers.push(with_limits(fake, storage, Role::Worker, limits).await);
+            fake.wait_started(begun).await;
+        }
+        fakes.iter().for_each(|fake| fake.release());
+        for path in &paths {
+            until(&api, path, "done").await;
+        }
+        for server in workers.into_iter().chain([api]) {
+            stop(server).await;
+        }
+    }
+}
+
 /// Stopped and started again under load: 503 with Retry-After meanwhile, then all is well.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_database_that_goes_and_comes_back_costs_nothing() {

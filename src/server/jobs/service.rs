@@ -36,6 +36,8 @@ pub(crate) struct Jobs {
     pub(crate) durable: bool,
     /// Rung when there may be something to do.
     pub(crate) wake: Notify,
+    /// Held while a worker looks who has his share, and takes a job.
+    pub(crate) taking: tokio::sync::Mutex<()>,
     pub(crate) owners: OnceLock<Owners>,
     most: usize,
     share: usize,
@@ -86,6 +88,7 @@ impl Jobs {
             files,
             durable,
             wake: Notify::new(),
+            taking: tokio::sync::Mutex::default(),
             owners: OnceLock::new(),
             most,
             share: limits.share_of(most as u64) as usize,

@@ -16,7 +16,7 @@ use crate::server::{
 };
 
 /// A bounded number of running requests, and a bounded queue. Clients take turns, none takes all
-/// workers or all of the queue, and where there are several workers, one is for short requests.
+/// workers or all of the queue, and where there are several workers, one may be for short requests.
 #[derive(Debug)]
 pub(crate) struct Admission {
     turns: Turns,
@@ -27,10 +27,11 @@ pub(crate) struct Admission {
 }
 
 impl Admission {
-    pub(crate) fn new(limits: &Limits, metrics: SharedMetrics) -> Self {
+    /// `serves_short` says whether one of several workers is for short requests.
+    pub(crate) fn new(limits: &Limits, serves_short: bool, metrics: SharedMetrics) -> Self {
         let workers = limits.max_concurrent_requests.get();
         let share = limits.share_of(limits.queue as u64);
-        let express = usize::from(workers > 1);
+        let express = usize::from(serves_short && workers > 1);
         let for_all = workers - express;
         Self {
             turns: Turns::new(for_all, limits.share_of(for_all as u64) as usize, express),
@@ -130,7 +131,7 @@ mod tests {
     fn admission() -> Arc<Admission> {
         let limits =
             Limits { max_concurrent_requests: NonZeroUsize::MIN, queue: 1, ..Limits::default() };
-        Arc::new(Admission::new(&limits, SharedMetrics::default()))
+        Arc::new(Admission::new(&limits, true, SharedMetrics::default()))
     }
 
     #[tokio::test]

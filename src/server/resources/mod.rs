@@ -15,7 +15,7 @@ pub(crate) use self::{
     uploads::{HeldBytes, UploadReservation, Uploads},
 };
 use super::{
-    config::{ByteSize, Limits, Seconds},
+    config::{ByteSize, Limits, Role, Seconds},
     error::ServerError,
     layers::client::Client,
     metrics::{Metrics, SharedMetrics},
@@ -43,11 +43,12 @@ pub(crate) struct Resources {
 }
 
 impl Resources {
-    pub(crate) fn new(limits: &Limits, metrics: &SharedMetrics) -> Self {
+    pub(crate) fn new(limits: &Limits, role: Role, metrics: &SharedMetrics) -> Self {
         let audio = limits.audio_seconds_in_flight as u64;
         let memory = limits.answer_memory.0;
         Self {
-            admission: Admission::new(limits, Arc::clone(metrics)),
+            // Every worker of a process that only works on jobs is for jobs.
+            admission: Admission::new(limits, role != Role::Worker, Arc::clone(metrics)),
             uploads: Uploads::new(limits, metrics),
             audio: Budget::new(audio, metrics.audio_in_flight.clone()),
             responses: Budget::shared(
@@ -56,7 +57,7 @@ impl Resources {
                 metrics.answer_bytes.clone(),
             ),
             // Metrics of their own, which nobody sees: these are not generations.
-            writers: Admission::new(limits, Arc::new(Metrics::default())),
+            writers: Admission::new(limits, true, Arc::new(Metrics::default())),
             memory: limits.answer_memory,
             idle_timeout: limits.answer_idle_timeout,
             // Within the time of the request: one that waits for longer is not told why.
@@ -152,7 +153,7 @@ mod tests {
             request_timeout: Seconds(Duration::from_millis(40)),
             ..Limits::default()
         };
-        let resources = Resources::new(&limits, &SharedMetrics::default());
+        let resources = Resources::new(&limits, Role::All, &SharedMetrics::default());
         assert_eq!(resources.retry_after(), Seconds::new(2));
         let held = resources.reserve_response(Client::Unknown, 1_000).await.unwrap();
         assert_eq!(resources.retry_after(), Seconds::new(7));

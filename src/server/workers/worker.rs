@@ -20,7 +20,7 @@ use crate::{
         intake::Order,
         jobs::{
             order::{StoredError, StoredOrder, from_text, to_text},
-            service::{Jobs, Running},
+            service::{BeingDone, Jobs, Running},
         },
         options::RequestOptions,
         resources::{Permit, Stay},
@@ -47,9 +47,9 @@ pub(super) async fn work(state: SharedState, share: usize) {
         }
         // To its end: a job that was taken and is not worked on waits until its lease is over.
         match take(&state, share).await {
-            Ok(Some(lease)) => {
-                let span = tracing::info_span!("job", id = %lease.job.id);
-                let run = AssertUnwindSafe(run(&state, lease)).catch_unwind().instrument(span);
+            Ok(Some(taken)) => {
+                let span = tracing::info_span!("job", id = %taken.lease.job.id);
+                let run = AssertUnwindSafe(run(&state, taken)).catch_unwind().instrument(span);
                 if run.await.is_err() {
                     state.metrics.panicked("job");
                 }
@@ -77,9 +77,20 @@ async fn stopped(state: &SharedState) {
     }
 }
 
-async fn take(state: &SharedState, share: usize) -> Result<Option<Lease>, JobsError> {
+/// A job that is worked on here.
+struct Taken {
+    lease: Lease,
+    tracker: Arc<RequestTracker>,
+    deleted: CancellationToken,
+    here: BeingDone,
+}
+
+async fn take(state: &SharedState, share: usize) -> Result<Option<Taken>, JobsError> {
     let Ok(engine) = state.engine() else { return Ok(None) };
     let limits = &state.limits;
+    // One after another, so that no owner is given more than its share: what waits for its turn
+    // here, another replica could do.
+    let _turn = state.jobs.taking.lock().await;
     let full = state.jobs.full_owners(share);
     let claim = Claim {
         model: engine.model_sha256(),
@@ -87,24 +98,31 @@ async fn take(state: &SharedState, share: usize) -> Result<Option<Lease>, JobsEr
         most_starts: i64::try_from(limits.job_starts.get()).unwrap_or(i64::MAX),
         full: &full,
     };
-    state.jobs.table.claim(&claim).await
+    let claimed = state.jobs.table.claim(&claim).await?;
+    Ok(claimed.map(|lease| Taken::begin(state, lease)))
 }
 
-async fn run(state: &SharedState, lease: Lease) {
+impl Taken {
+    fn begin(state: &SharedState, lease: Lease) -> Self {
+        let tracker = RequestTracker::new(Arc::clone(&state.metrics));
+        tracker.enter(Phase::Queue);
+        let running = Running {
+            owner: lease.job.owner.clone(),
+            tracker: Arc::clone(&tracker),
+            deleted: CancellationToken::new(),
+        };
+        let deleted = running.deleted.clone();
+        let here = state.jobs.begin(lease.job.id, running);
+        Self { lease, tracker, deleted, here }
+    }
+}
+
+async fn run(state: &SharedState, taken: Taken) {
     let _under_way = match state.jobs.durable {
         true => state.lifecycle.go_on_with_job(),
         false => state.lifecycle.go_on(),
     };
-    let job = &lease.job;
-    let tracker = RequestTracker::new(Arc::clone(&state.metrics));
-    tracker.enter(Phase::Queue);
-    let running = Running {
-        owner: job.owner.clone(),
-        tracker: Arc::clone(&tracker),
-        deleted: CancellationToken::new(),
-    };
-    let deleted = running.deleted.clone();
-    let _here = state.jobs.begin(job.id, running);
+    let Taken { lease, tracker, deleted, here: _here } = taken;
     let worked = async {
         let made = make(state, &lease, &tracker).await;
         settle(state, &lease, &tracker, made).await;
