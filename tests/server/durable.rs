@@ -248,6 +248,8 @@ async fn a_job_that_waits_too_long_expires() {
     assert_eq!(failed["error"]["error_type"], "job_expired");
     let gone = api.expect(get(&format!("{path}/result")), 410).await;
     assert!(gone.contains("expires_s"), "{gone}");
+    let song = folder.path().join(path.trim_start_matches('/')).join("song");
+    eventually("its song is deleted", async || (!song.exists()).then_some(())).await;
     stop(api).await;
 }
 

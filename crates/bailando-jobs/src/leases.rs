@@ -99,7 +99,7 @@ impl JobTable {
     /// [`JobsError::Database`].
     pub async fn fail(&self, lease: &Lease, error: String) -> Result<bool, JobsError> {
         const CHANGE: &str = "UPDATE jobs SET state = 'failed', error_json = $1, \
-             order_bytes = LENGTH(order_json), finished_at = $2, lease = NULL, \
+             order_bytes = LENGTH(order_json), result_bytes = 0, finished_at = $2, lease = NULL, \
              lease_until = NULL, stage = NULL, \
              callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
              WHERE id = $3 AND lease = $4";

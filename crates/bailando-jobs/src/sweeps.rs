@@ -2,44 +2,52 @@
 
 use std::time::Duration;
 
-use super::{JobTable, JobsError, LONGEST_WAIT, leases::after, record::now};
+use sqlx::Row;
+use uuid::Uuid;
 
-/// Jobs in the queue, as many as one statement changes at most: others write in between. One that
-/// was taken meanwhile is left alone; said in such a way that no index of states is asked.
-macro_rules! some_queued {
-    ($and:literal) => {
-        concat!(
-            "id IN (SELECT id FROM jobs WHERE state = 'queued' AND ",
-            $and,
-            " LIMIT 1000) AND state NOT IN ('running', 'done', 'failed')"
+use super::{
+    JobTable, JobsError, LONGEST_WAIT, Millis, leases::after, record::now, table::Statement,
+};
+
+/// Jobs that nobody will begin now, $1, and how to fail one of them, $3, for the reason $1: alone,
+/// since its bytes change. One that was taken meanwhile is left alone.
+macro_rules! hopeless {
+    ($which:literal, $still:literal) => {
+        (
+            concat!("SELECT id FROM jobs WHERE ", $which, " LIMIT 1000"),
+            concat!(
+                "UPDATE jobs SET state = 'failed', error_json = $1, \
+                 order_bytes = LENGTH(order_json), result_bytes = 0, finished_at = $2, \
+                 lease = NULL, lease_until = NULL, stage = NULL, callback_after = \
+                 CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
+                 WHERE id = $3 AND ",
+                $still
+            ),
         )
     };
 }
 
-/// The reason is $1, now $2.
-macro_rules! failed {
-    () => {
-        "UPDATE jobs SET state = 'failed', error_json = $1, finished_at = $2, lease = NULL, \
-         lease_until = NULL, stage = NULL, \
-         callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
-         WHERE "
-    };
-}
-
-pub(crate) const EXPIRE: &str =
-    concat!(failed!(), some_queued!("expires_at IS NOT NULL AND expires_at <= $2"));
-pub(crate) const ABANDON: &str =
-    concat!(failed!(), "state = 'running' AND lease_until < $2 AND starts >= $3");
-pub(crate) const LINE_UP: &str = concat!(
-    "UPDATE jobs SET run_after = 0 WHERE ",
-    some_queued!("run_after > 0 AND run_after BETWEEN $1 AND $2")
+/// Those that expired in the queue.
+pub(crate) const EXPIRED: (&str, &str) = hopeless!(
+    "state = 'queued' AND expires_at IS NOT NULL AND expires_at <= $1",
+    "state NOT IN ('running', 'done', 'failed')"
 );
+/// Those whose last worker is gone.
+pub(crate) const ABANDONED: (&str, &str) = hopeless!(
+    "state = 'running' AND lease_until < $1 AND starts >= $2",
+    "state NOT IN ('queued', 'done', 'failed') AND lease_until < $2"
+);
+/// As many as one statement changes at most: others write in between. One that was taken meanwhile
+/// is left alone; said in such a way that no index of states is asked.
+pub(crate) const LINE_UP: &str = "UPDATE jobs SET run_after = 0 WHERE id IN (\
+     SELECT id FROM jobs WHERE state = 'queued' AND run_after > 0 \
+     AND run_after BETWEEN $1 AND $2 LIMIT 1000) AND state NOT IN ('running', 'done', 'failed')";
 pub(crate) const CUT: &str =
     "UPDATE jobs SET lease_until = $1 WHERE state = 'running' AND lease_until > $2";
 
 impl JobTable {
     /// Fails the jobs that nobody will begin: those that expired in the queue, and those that
-    /// began `most_starts` times and whose last worker is gone.
+    /// began `most_starts` times and whose last worker is gone. Their songs are needed no more.
     ///
     /// # Errors
     /// [`JobsError::Database`].
@@ -48,11 +56,39 @@ impl JobTable {
         most_starts: i64,
         expired: String,
         abandoned: String,
-    ) -> Result<(), JobsError> {
+    ) -> Result<Vec<Uuid>, JobsError> {
         let now = now();
-        while self.change(sqlx::query(EXPIRE).bind(expired.clone()).bind(now)).await? {}
-        self.change(sqlx::query(ABANDON).bind(abandoned).bind(now).bind(most_starts)).await?;
-        Ok(())
+        let (which, fail) = EXPIRED;
+        let which = || sqlx::query(which).bind(now);
+        let mut failed = self.fail_each(which, fail, expired, now).await?;
+        let (which, fail) = ABANDONED;
+        let which = || sqlx::query(which).bind(now).bind(most_starts);
+        failed.extend(self.fail_each(which, fail, abandoned, now).await?);
+        Ok(failed)
+    }
+
+    /// Fails all jobs that `which` finds some of, each with `fail`.
+    async fn fail_each(
+        &self,
+        which: impl Fn() -> Statement,
+        fail: &'static str,
+        reason: String,
+        now: Millis,
+    ) -> Result<Vec<Uuid>, JobsError> {
+        let mut failed = Vec::new();
+        loop {
+            let some = self.rows(which()).await?;
+            for row in &some {
+                let id: String = row.try_get(0)?;
+                let fail = sqlx::query(fail).bind(reason.clone()).bind(now).bind(id.clone());
+                if self.change(fail).await? {
+                    failed.extend(Uuid::try_parse(&id));
+                }
+            }
+            if some.is_empty() {
+                return Ok(failed);
+            }
+        }
     }
 
     /// Puts jobs whose wait is over in line with the others, and ends the waits and leases that

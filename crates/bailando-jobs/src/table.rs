@@ -73,7 +73,7 @@ pub(crate) const LIST_STATE: &str =
 pub(crate) const FIND_RESULT: &str = "SELECT * FROM jobs WHERE content_key = $1 \
      AND state = 'done' AND finished_at >= $2 ORDER BY finished_at DESC LIMIT 1";
 
-type Statement = Query<'static, Any, sqlx::any::AnyArguments>;
+pub(crate) type Statement = Query<'static, Any, sqlx::any::AnyArguments>;
 
 impl JobTable {
     /// A table in memory, which ends with this value.

@@ -57,9 +57,14 @@ async fn once(state: &SharedState) -> Result<(), ServerError> {
     let (expired, abandoned) = (text(&ServerError::JobExpired)?, text(&abandoned)?);
     let most = i64::try_from(starts).unwrap_or(i64::MAX);
     let table = &state.jobs.table;
-    table.fail_hopeless(most, expired, abandoned).await?;
+    let failed = table.fail_hopeless(most, expired, abandoned).await?;
     table.line_up(state.limits.job_lease.0).await?;
-    state.jobs.expire().await
+    state.jobs.expire().await?;
+    for id in failed {
+        // It is deleted with the job at the latest.
+        state.jobs.files.delete(&Jobs::song(id)).await?;
+    }
+    Ok(())
 }
 
 /// Deletes files whose jobs are gone, and what killed processes left.

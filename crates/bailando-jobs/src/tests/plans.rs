@@ -9,12 +9,12 @@ use crate::{
     JobTable,
     claims::NEXT,
     room::{KEPT, OLDEST_FETCHED, OLDEST_FETCHED_OWN, OLDEST_FINISHED, OLDEST_FINISHED_OWN},
-    sweeps::{ABANDON, CUT, EXPIRE, LINE_UP},
+    sweeps::{ABANDONED, CUT, EXPIRED, LINE_UP},
     table::{FIND_RESULT, LIST, LIST_STATE},
 };
 
 /// Statements, and what finds their jobs.
-const FOUND_BY: [(&str, &[&str]); 13] = [
+const FOUND_BY: [(&str, &[&str]); 15] = [
     (NEXT, &["jobs_line", "jobs_lane", "jobs_later", "jobs_running", "jobs_listed_by_state", "id"]),
     (LIST, &["jobs_listed"]),
     (LIST_STATE, &["jobs_listed_by_state"]),
@@ -24,8 +24,10 @@ const FOUND_BY: [(&str, &[&str]); 13] = [
     (OLDEST_FETCHED_OWN, &["jobs_fetched_own"]),
     (OLDEST_FINISHED, &["jobs_finished"]),
     (OLDEST_FINISHED_OWN, &["jobs_finished_own"]),
-    (EXPIRE, &["jobs_expiring", "id"]),
-    (ABANDON, &["jobs_running"]),
+    (EXPIRED.0, &["jobs_expiring"]),
+    (EXPIRED.1, &["id"]),
+    (ABANDONED.0, &["jobs_running"]),
+    (ABANDONED.1, &["id"]),
     (LINE_UP, &["jobs_later", "id"]),
     (CUT, &["jobs_running"]),
 ];
