@@ -148,8 +148,8 @@ errors! {
             => "jobs cannot be kept or found now, for their store does not answer: {}",
             again(retry_after);
         SERVICE_UNAVAILABLE "job_bytes" JobBytes { bytes: ByteSize, retry_after: Seconds }
-            => "songs and results take all of their space, {bytes}: fetch and delete finished \
-                jobs, or {}",
+            => "songs and results, those of waiting jobs included, take all of their space, \
+                {bytes}: fetch and delete finished jobs, or {}",
             again(retry_after);
         SERVICE_UNAVAILABLE "answer_memory" AnswerMemory { memory: ByteSize, retry_after: Seconds }
             => "unread responses take all of their memory, {memory}: {}", again(retry_after);

@@ -325,16 +325,17 @@ async fn one_client_leaves_bytes_for_jobs_to_the_others() {
     let limits = Limits { job_bytes: ByteSize(4_000_000), ..Limits::default() };
     let app = keyed(&fake, &limits);
     // What comes after it waits: it takes the client's share of the workers.
-    assert_eq!(send(&app, of("one", post("/jobs", "", BLOCK))).await.status, 202);
+    let short = "duration_s=1";
+    assert_eq!(send(&app, of("one", post("/jobs", short, BLOCK))).await.status, 202);
     fake.wait_started(1).await;
     let song = vec![0; 1_000_000];
     for _ in 0..3 {
-        let order = send(&app, of("one", post("/jobs", "", song.clone()))).await;
+        let order = send(&app, of("one", post("/jobs", short, song.clone()))).await;
         assert_eq!(order.status, 202);
     }
-    let more = send(&app, of("one", post("/jobs", "", song.clone()))).await;
+    let more = send(&app, of("one", post("/jobs", short, song.clone()))).await;
     more.expect_error(503, "job_bytes");
-    assert_eq!(send(&app, of("two", post("/jobs", "", song))).await.status, 202);
+    assert_eq!(send(&app, of("two", post("/jobs", short, song))).await.status, 202);
     fake.release();
 }
 

@@ -4,7 +4,7 @@ use std::{
     collections::HashMap, fs, num::NonZeroUsize, path::Path, sync::atomic::Ordering, time::Duration,
 };
 
-use bailando::server::{JobStorage, Limits, Role, Seconds, StorageConfig};
+use bailando::server::{ByteSize, JobStorage, Limits, Role, Seconds, StorageConfig};
 use bailando_testkit::postgres::Postgres;
 
 use crate::server::{
@@ -112,6 +112,31 @@ async fn what_matters_more_is_done_first() {
     }
     let heard = fake.heard.lock().unwrap().clone();
     assert_eq!(heard, ["song 9", "song 5", "song 0", "song -9"].map(str::as_bytes));
+    stop(worker).await;
+    stop(api).await;
+}
+
+/// A result has its room from the order on: as much as the longest song's, if nobody says less.
+#[tokio::test(flavor = "multi_thread")]
+async fn no_more_is_ordered_than_there_is_room_for_results() {
+    let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
+    let limits = Limits { job_bytes: ByteSize(20_000_000), ..Limits::default() };
+    let storage = in_folder(folder.path()).await;
+    let api = with_limits(&fake, storage, Role::Api, limits).await;
+    // Each takes about 7 MB, and a client has 15 MB.
+    let mut paths = Vec::new();
+    for query in ["", "format=json&fps=60", "duration_s=1000"] {
+        paths.push(order(&api, query, b"song").await);
+    }
+    let refused = api.expect(post_to("/jobs", b"song"), 503).await;
+    assert!(refused.contains("job_bytes") && refused.contains("waiting jobs"), "{refused}");
+    let worker = server(&fake, in_folder(folder.path()).await, Role::Worker).await;
+    for path in &paths {
+        until(&api, path, "done").await;
+    }
+    for _ in 0..10 {
+        order(&api, "duration_s=4", b"song").await;
+    }
     stop(worker).await;
     stop(api).await;
 }

@@ -14,8 +14,12 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    decimal::push_decimal, error::FormatError, euler::RotationOrder, motion::GeneratedMotion,
-    rig::Rig, target::TargetSkeleton,
+    decimal::push_decimal,
+    error::FormatError,
+    euler::RotationOrder,
+    motion::{GeneratedMotion, MotionSize},
+    rig::Rig,
+    target::TargetSkeleton,
 };
 
 /// The unit of lengths in a BVH file. The format does not name one; most programs expect
@@ -65,10 +69,10 @@ impl FromStr for BvhUnit {
 }
 
 /// About the bytes of a motion as BVH.
-pub(crate) fn bvh_bytes(motion: &GeneratedMotion) -> usize {
-    let joints = motion.skeleton.joints.len();
+pub(crate) fn bvh_bytes(size: MotionSize) -> usize {
+    let joints = size.joints;
     // Three angles of a rotation take about nine bytes each.
-    200 * joints + 30 * (joints + 1) * motion.animation.root.len()
+    200 * joints + 30 * (joints + 1) * size.frames
 }
 
 /// Writes a motion as BVH on the model's own skeleton.
@@ -93,7 +97,7 @@ pub fn to_bvh_for(
     let rig = Rig::new(&motion.skeleton, target, false)?;
     let bones = rig.bones.len();
     let mut writer = BvhWriter {
-        text: String::with_capacity(bvh_bytes(motion)),
+        text: String::with_capacity(bvh_bytes(motion.size())),
         motion,
         rig: &rig,
         order: Vec::with_capacity(bones),

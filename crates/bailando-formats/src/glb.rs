@@ -19,7 +19,7 @@ use crate::{
     gltf::{Document, Layout, push_channel},
     keys::{Keys, reduce_rotations},
     mannequin::mannequin,
-    motion::GeneratedMotion,
+    motion::{GeneratedMotion, MotionSize},
     rig::Rig,
     target::TargetSkeleton,
 };
@@ -34,9 +34,9 @@ const REACH_TOLERANCE: f64 = 4.5e-4;
 const FIXED_BYTES: usize = 160_000;
 
 /// About the most bytes of a motion as GLB.
-pub(crate) fn glb_bytes(motion: &GeneratedMotion) -> usize {
-    let joints = motion.skeleton.joints.len() + 1;
-    FIXED_BYTES + 1024 * joints + (8 * joints + 16) * motion.animation.root.len()
+pub(crate) fn glb_bytes(size: MotionSize) -> usize {
+    let joints = size.joints + 1;
+    FIXED_BYTES + 1024 * joints + (8 * joints + 16) * size.frames
 }
 
 /// Contents of a GLB.
@@ -62,7 +62,7 @@ impl Default for GlbOptions {
 pub fn to_glb(motion: &GeneratedMotion, options: GlbOptions) -> Result<Vec<u8>, FormatError> {
     motion.check()?;
     let rig = Rig::new(&motion.skeleton, options.skeleton, true)?;
-    let mut document = Document::new(glb_bytes(motion));
+    let mut document = Document::new(glb_bytes(motion.size()));
     document.bones(&rig);
     let mut roots = vec![Index::new(0)];
     let doll = options.mannequin.then(|| mannequin(&motion.skeleton, &rig)).flatten();

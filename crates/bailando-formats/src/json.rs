@@ -9,7 +9,7 @@ use crate::{
     codes::Codes,
     continuation::Continuation,
     error::FormatError,
-    motion::{GeneratedMotion, MusicInfo, Timings},
+    motion::{GeneratedMotion, MotionSize, MusicInfo, Timings},
     numbers::{Block, Encoding, Numbers},
 };
 
@@ -90,10 +90,10 @@ pub struct SkeletonJson<'a> {
 }
 
 /// About the bytes of a motion as JSON.
-pub(crate) fn json_bytes(motion: &GeneratedMotion, options: &JsonOptions) -> usize {
-    let frames = motion.animation.root.len();
+pub(crate) fn json_bytes(size: MotionSize, options: &JsonOptions) -> usize {
+    let frames = size.frames;
     // Positions; with rotations four more for each three of them, and three for the root.
-    let poses = motion.positions.len();
+    let poses = 3 * size.joints * frames;
     let numbers = poses + if options.rotations { poses * 4 / 3 + 3 * frames } else { 0 };
     // Codes, beats and names; a rounded number and its comma take about ten bytes.
     4096 + 2 * frames + 10 * numbers
@@ -105,7 +105,7 @@ pub(crate) fn json_bytes(motion: &GeneratedMotion, options: &JsonOptions) -> usi
 /// [`FormatError::Inconsistent`] if its parts do not fit each other or hold a NaN or an infinity.
 pub fn to_json(motion: &GeneratedMotion, options: &JsonOptions) -> Result<Vec<u8>, FormatError> {
     motion.check()?;
-    let mut json = Vec::with_capacity(json_bytes(motion, options));
+    let mut json = Vec::with_capacity(json_bytes(motion.size(), options));
     serde_json::to_writer(&mut json, &MotionJson::new(motion, options))?;
     Ok(json)
 }

@@ -96,7 +96,28 @@ pub struct GeneratedMotion {
     pub continuation: Option<Continuation>,
 }
 
+/// What the sizes of a motion's files depend on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MotionSize {
+    /// Frames of the motion.
+    pub frames: usize,
+    /// Joints of its skeleton.
+    pub joints: usize,
+    /// Frames a second.
+    pub fps: u32,
+}
+
 impl GeneratedMotion {
+    /// Returns how large it is.
+    #[must_use]
+    pub fn size(&self) -> MotionSize {
+        MotionSize {
+            frames: self.animation.root.len(),
+            joints: self.skeleton.joints.len(),
+            fps: self.animation.fps,
+        }
+    }
+
     /// Checks that the parts fit together and are finite: formats rely on it.
     pub(crate) fn check(&self) -> Result<(), FormatError> {
         let fail = |message: String| Err(FormatError::Inconsistent(message));

@@ -11,7 +11,11 @@ use std::{
 use glam::DQuat;
 use zip::{CompressionMethod, DateTime, ZipWriter, write::SimpleFileOptions};
 
-use crate::{error::FormatError, motion::GeneratedMotion, target::TargetSkeleton};
+use crate::{
+    error::FormatError,
+    motion::{GeneratedMotion, MotionSize},
+    target::TargetSkeleton,
+};
 
 /// Joints of SMPL's body, without its two hands, which SMPL-H replaces by fingers.
 const BODY: usize = 22;
@@ -26,8 +30,8 @@ const ALIGNMENT: usize = 64;
 const FIXED_BYTES: usize = 4096;
 
 /// About the most bytes of a motion in the layout of AMASS.
-pub(crate) fn npz_bytes(motion: &GeneratedMotion) -> usize {
-    FIXED_BYTES + 4 * (POSE + 3) * motion.animation.root.len()
+pub(crate) fn npz_bytes(size: MotionSize) -> usize {
+    FIXED_BYTES + 4 * (POSE + 3) * size.frames
 }
 
 /// Writes a motion as a NumPy archive in the layout of AMASS: `poses` float32 `[frames, 156]`,
@@ -43,7 +47,7 @@ pub fn to_npz(motion: &GeneratedMotion) -> Result<Vec<u8>, FormatError> {
     let animation = &motion.animation;
     let frames = animation.root.len();
     let upright = DQuat::from_rotation_x(FRAC_PI_2);
-    let mut archive = Archive::new(npz_bytes(motion));
+    let mut archive = Archive::new(npz_bytes(motion.size()));
     archive.begin("poses", "<f4", &[frames, POSE])?;
     let mut pose = [0.0_f32; POSE];
     for rotations in &animation.rotations {

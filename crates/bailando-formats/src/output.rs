@@ -10,7 +10,7 @@ use crate::{
     fbx::{fbx_bytes, to_fbx},
     glb::{GlbOptions, glb_bytes, to_glb},
     json::{JsonOptions, json_bytes, to_json},
-    motion::GeneratedMotion,
+    motion::{GeneratedMotion, MotionSize},
     npz::{npz_bytes, to_npz},
     target::TargetSkeleton,
     vmd::{to_vmd, vmd_bytes},
@@ -93,19 +93,19 @@ impl OutputFormat {
         }
     }
 
-    /// Returns about the most bytes that a motion takes in this format: what [`Self::write`]
-    /// reserves, and a little more.
+    /// Returns about the most bytes that a motion of this size takes in this format: what
+    /// [`Self::write`] reserves, and a little more.
     #[must_use]
-    pub fn most_bytes(self, motion: &GeneratedMotion, options: &WriteOptions) -> usize {
+    pub fn most_bytes(self, size: MotionSize, options: &WriteOptions) -> usize {
         let most = match self {
-            Self::Json => json_bytes(motion, &options.json),
-            Self::Bvh => bvh_bytes(motion),
+            Self::Json => json_bytes(size, &options.json),
+            Self::Bvh => bvh_bytes(size),
             // A binary file is put together of two parts that exist beside it.
-            Self::Glb => 2 * glb_bytes(motion),
-            Self::Vrma => 2 * vrma_bytes(motion),
-            Self::Fbx => fbx_bytes(motion),
-            Self::Vmd => vmd_bytes(motion),
-            Self::Npz => npz_bytes(motion),
+            Self::Glb => 2 * glb_bytes(size),
+            Self::Vrma => 2 * vrma_bytes(size),
+            Self::Fbx => fbx_bytes(size),
+            Self::Vmd => vmd_bytes(size),
+            Self::Npz => npz_bytes(size),
         };
         most.saturating_add(most / 16)
     }

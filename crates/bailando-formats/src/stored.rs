@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     codes::Codes,
     error::FormatError,
-    motion::{GeneratedMotion, MusicInfo, Timings},
+    motion::{GeneratedMotion, MotionSize, MusicInfo, Timings},
 };
 
 const MAGIC: &[u8; 5] = b"BMOT\x01";
@@ -49,6 +49,18 @@ struct Music {
     confidence: f64,
 }
 
+/// Returns about the most bytes that a motion of this size takes as [`to_stored`] writes it.
+#[must_use]
+pub fn stored_bytes(size: MotionSize) -> usize {
+    // The skeleton, warnings and a continuation; codes and beats, at few frames a second.
+    8192 + 128 * size.joints + (8 + floats_of(size)) * size.frames
+}
+
+/// Bytes of each frame's numbers.
+fn floats_of(size: MotionSize) -> usize {
+    FLOAT * (3 + 7 * size.joints)
+}
+
 /// Writes a motion so that [`from_stored`] reads the same.
 ///
 /// # Errors
@@ -56,9 +68,9 @@ struct Music {
 pub fn to_stored(motion: &GeneratedMotion) -> Result<Vec<u8>, FormatError> {
     motion.check()?;
     let header = serde_json::to_vec(&Header::of(motion))?;
-    let frames = motion.animation.root.len();
-    let floats = frames * (3 + 7 * motion.skeleton.joints.len());
-    let mut bytes = Vec::with_capacity(MAGIC.len() + FLOAT + header.len() + FLOAT * floats);
+    let size = motion.size();
+    let floats = size.frames * floats_of(size);
+    let mut bytes = Vec::with_capacity(MAGIC.len() + FLOAT + header.len() + floats);
     bytes.extend(MAGIC);
     let length = u32::try_from(header.len())
         .map_err(|_| FormatError::TooLong { format: "motion", bytes: header.len() as u64 })?;

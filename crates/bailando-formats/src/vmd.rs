@@ -12,7 +12,7 @@ use crate::{
     error::FormatError,
     glb::tolerance,
     keys::reduce_rotations,
-    motion::GeneratedMotion,
+    motion::{GeneratedMotion, MotionSize},
     rig::{Rig, t_pose},
 };
 
@@ -56,9 +56,8 @@ const BONES: [(&str, &[&str]); 19] = [
 const IK: [&str; 4] = ["左足ＩＫ", "右足ＩＫ", "左つま先ＩＫ", "右つま先ＩＫ"];
 
 /// About the most bytes of a motion as VMD.
-pub(crate) fn vmd_bytes(motion: &GeneratedMotion) -> usize {
-    let animation = &motion.animation;
-    let frames = 2 + animation.root.len() * FPS as usize / animation.fps.max(1) as usize;
+pub(crate) fn vmd_bytes(size: MotionSize) -> usize {
+    let frames = 2 + size.frames * FPS as usize / size.fps.max(1) as usize;
     1024 + BONES.len() * KEY_BYTES * frames
 }
 
@@ -77,7 +76,7 @@ pub fn to_vmd(motion: &GeneratedMotion) -> Result<Vec<u8>, FormatError> {
         resampled = resample(&motion.animation, FPS)?;
         &resampled
     };
-    let mut file = Vec::with_capacity(vmd_bytes(motion));
+    let mut file = Vec::with_capacity(vmd_bytes(motion.size()));
     push_text(&mut file, "Vocaloid Motion Data 0002", 30);
     push_text(&mut file, "Bailando", MODEL_NAME);
     push_bones(&mut file, &rig, animation)?;

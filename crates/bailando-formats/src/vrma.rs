@@ -12,7 +12,7 @@ use crate::{
     glb::{empty_animation, glb_bytes},
     gltf::{Document, push_channel},
     keys::Keys,
-    motion::GeneratedMotion,
+    motion::{GeneratedMotion, MotionSize},
     rig::Rig,
     target::TargetSkeleton,
 };
@@ -39,8 +39,8 @@ const REQUIRED: [&str; 15] = [
 ];
 
 /// About the most bytes of a motion as VRM animation.
-pub(crate) fn vrma_bytes(motion: &GeneratedMotion) -> usize {
-    2 * glb_bytes(motion)
+pub(crate) fn vrma_bytes(size: MotionSize) -> usize {
+    2 * glb_bytes(size)
 }
 
 /// Writes a motion as VRM animation.
@@ -56,7 +56,7 @@ pub fn to_vrma(motion: &GeneratedMotion) -> Result<Vec<u8>, FormatError> {
     if let Some(joint) = REQUIRED.iter().find(|name| !has(name)) {
         return Err(FormatError::NoBone { bone: (*joint).into(), format: "vrma" });
     }
-    let mut document = Document::new(vrma_bytes(motion));
+    let mut document = Document::new(vrma_bytes(motion.size()));
     document.bones(&rig);
     document.scene(vec![Index::new(0)]);
     if !motion.animation.root.is_empty() {

@@ -82,6 +82,8 @@ pub struct NewJob {
     pub order: String,
     /// Bytes of the stored song.
     pub order_bytes: i64,
+    /// Bytes that count for its result until it is done or has failed.
+    pub expected_bytes: i64,
     /// The result and its bytes, where there is one already.
     pub result: Option<(String, i64)>,
     /// Where its end is reported to.
@@ -103,6 +105,7 @@ impl NewJob {
             idempotency_key: None,
             order: order.to_owned(),
             order_bytes: 0,
+            expected_bytes: 0,
             result: None,
             callback_url: None,
         }
@@ -156,7 +159,7 @@ pub struct JobRecord {
     pub order_bytes: i64,
     /// The result, as JSON, once it is done.
     pub result: Option<String>,
-    /// Bytes of its files.
+    /// Bytes of its files, once it is done; before, those that are expected.
     pub result_bytes: i64,
     /// Why it failed, as JSON.
     pub error: Option<String>,

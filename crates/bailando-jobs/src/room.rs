@@ -12,7 +12,7 @@ pub struct Kept {
     pub jobs: i64,
     /// Jobs of the owner that was asked about.
     pub own: i64,
-    /// Bytes of all orders, songs and results.
+    /// Bytes of all orders, songs and results, those that are expected included.
     pub bytes: i64,
     /// Bytes of those of the owner that was asked about.
     pub own_bytes: i64,

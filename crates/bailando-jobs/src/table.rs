@@ -146,6 +146,7 @@ impl JobTable {
         let (now, done) = (now(), job.result.is_some());
         let text = i64::try_from(job.order.len()).unwrap_or(i64::MAX);
         let (result, result_bytes) = job.result.unzip();
+        let result_bytes = result_bytes.unwrap_or(job.expected_bytes);
         let kept = sqlx::query(INSERT)
             .bind(job.id.to_string())
             .bind(job.owner.clone())
@@ -161,7 +162,7 @@ impl JobTable {
             .bind(job.order)
             .bind(job.order_bytes.saturating_add(text))
             .bind(result)
-            .bind(result_bytes.unwrap_or(0))
+            .bind(result_bytes)
             .bind(job.callback_url.clone())
             .bind(job.callback_url.filter(|_| done).map(|_| now));
         if self.change(kept).await? {

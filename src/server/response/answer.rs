@@ -43,7 +43,7 @@ impl Written {
         options: &RequestOptions,
         Shape { format, encoding, .. }: Shape,
     ) -> Result<Arc<Self>, ServerError> {
-        let most = format.most_bytes(&dance, &options.writing());
+        let most = format.most_bytes(dance.size(), &options.writing());
         let options = options.clone();
         let write = move || options.write(&dance, format);
         Self::of(held, client, work, (most, encoding), write).await

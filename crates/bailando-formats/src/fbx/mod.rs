@@ -14,7 +14,11 @@ use self::{
     records::{Records, Value},
 };
 use crate::{
-    error::FormatError, euler::RotationOrder, glb::TAKE, motion::GeneratedMotion, rig::Rig,
+    error::FormatError,
+    euler::RotationOrder,
+    glb::TAKE,
+    motion::{GeneratedMotion, MotionSize},
+    rig::Rig,
     target::TargetSkeleton,
 };
 
@@ -36,9 +40,9 @@ const KEYS: i32 = 4009;
 const KEY_BYTES: usize = 12;
 
 /// About the most bytes of a motion as FBX.
-pub(crate) fn fbx_bytes(motion: &GeneratedMotion) -> usize {
-    let joints = motion.skeleton.joints.len() + 1;
-    8192 + 4096 * joints + 3 * KEY_BYTES * (joints + 1) * motion.animation.root.len()
+pub(crate) fn fbx_bytes(size: MotionSize) -> usize {
+    let joints = size.joints + 1;
+    8192 + 4096 * joints + 3 * KEY_BYTES * (joints + 1) * size.frames
 }
 
 /// Writes a motion as FBX on a skeleton that characters and programs know.
@@ -57,7 +61,7 @@ pub fn to_fbx(motion: &GeneratedMotion, target: TargetSkeleton) -> Result<Vec<u8
         (0..rig.bones.len()).filter(|&bone| !rig.is_still(bone, &animation.rotations)).collect();
     let scene = Scene { motion, rig: &rig, moving: &moving, times: &times };
 
-    let mut records = Records::new(fbx_bytes(motion));
+    let mut records = Records::new(fbx_bytes(motion.size()));
     let bones = rig.bones.len();
     let counts = [
         ("NodeAttribute", bones),

@@ -76,6 +76,40 @@ fn a_job_that_no_worker_survives_fails_at_last() {
     });
 }
 
+/// What becomes of it needs them no more, whatever that is.
+#[test]
+fn the_bytes_of_a_result_count_from_the_order_on() {
+    with_each(async |jobs| {
+        let order = || NewJob { order_bytes: 7, expected_bytes: 100, ..job("me") };
+        let bytes = async || jobs.kept("me").await.unwrap().bytes;
+        let say = |text: &str| text.to_owned();
+        for done in [true, false] {
+            let id = insert(&jobs, order()).await;
+            assert_eq!(bytes().await, 2 + 7 + 100);
+            let lease = take(&jobs).await.unwrap();
+            assert!(jobs.put_back(&lease, PutBack::Release).await.unwrap());
+            let lease = take(&jobs).await.unwrap();
+            assert_eq!(bytes().await, 2 + 7 + 100);
+            if done {
+                assert!(jobs.done(&lease, say("{}"), 5, &reached(9)).await.unwrap());
+            } else {
+                assert!(jobs.fail(&lease, say("{}")).await.unwrap());
+            }
+            assert_eq!(bytes().await, if done { 2 + 5 } else { 2 });
+            assert!(jobs.delete(id).await.unwrap());
+        }
+        let late = insert(&jobs, NewJob { expires_at: Some(now() - 1), ..order() }).await;
+        let lost = insert(&jobs, order()).await;
+        assert_eq!(jobs.claim(&claim(SHORT)).await.unwrap().unwrap().job.id, lost);
+        tokio::time::sleep(SHORT * 2).await;
+        let failed = jobs.fail_hopeless(1, say("expired"), say("abandoned")).await.unwrap();
+        assert_eq!(failed, [late, lost]);
+        assert_eq!(bytes().await, 2 * 2);
+        let failed = jobs.fail_hopeless(1, say("expired"), say("abandoned")).await.unwrap();
+        assert!(failed.is_empty());
+    });
+}
+
 #[test]
 fn a_job_expires_in_the_queue_but_not_once_it_has_begun() {
     with_each(async |jobs| {
@@ -330,23 +364,6 @@ fn a_row_that_cannot_be_read_is_a_failed_job() {
 }
 
 #[test]
-fn a_database_that_comes_back_is_used_again() {
-    let Some(mut postgres) = Postgres::start() else { return };
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
-        let jobs = JobTable::at_url(&postgres.url()).unwrap();
-        let id = insert(&jobs, job("me")).await;
-        postgres.stop();
-        let down = jobs.find(id).await.unwrap_err();
-        assert!(matches!(down, JobsError::Database(_)), "{down}");
-        let never_up = JobTable::at_url(&postgres.url()).unwrap();
-        assert!(never_up.open().await.is_err());
-        postgres.go_on();
-        assert_eq!(find(&jobs, id).await.id, id);
-        never_up.open().await.unwrap();
-    });
-}
-#[test]
 fn the_end_of_a_job_that_cannot_be_read_is_reported_if_that_can_be() {
     with_each(async |jobs| {
         jobs.open().await.unwrap();
@@ -364,3 +381,20 @@ fn the_end_of_a_job_that_cannot_be_read_is_reported_if_that_can_be() {
     });
 }
 
+#[test]
+fn a_database_that_comes_back_is_used_again() {
+    let Some(mut postgres) = Postgres::start() else { return };
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let jobs = JobTable::at_url(&postgres.url()).unwrap();
+        let id = insert(&jobs, job("me")).await;
+        postgres.stop();
+        let down = jobs.find(id).await.unwrap_err();
+        assert!(matches!(down, JobsError::Database(_)), "{down}");
+        let never_up = JobTable::at_url(&postgres.url()).unwrap();
+        assert!(never_up.open().await.is_err());
+        postgres.go_on();
+        assert_eq!(find(&jobs, id).await.id, id);
+        never_up.open().await.unwrap();
+    });
+}

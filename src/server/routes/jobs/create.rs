@@ -14,22 +14,25 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 use uuid::Uuid;
 
 use super::last_words;
-use crate::server::{
-    error::ServerError,
-    intake::{self, Order, Purpose},
-    jobs::{
-        order::{Prepared, StoredOrder, from_text, to_text},
-        service::Jobs,
-        song::SongWriter,
-        status::JobStatus,
+use crate::{
+    formats::{MotionSize, stored_bytes},
+    server::{
+        error::ServerError,
+        intake::{self, Order, Purpose},
+        jobs::{
+            order::{Prepared, StoredOrder, from_text, to_text},
+            service::Jobs,
+            song::SongWriter,
+            status::JobStatus,
+        },
+        layers::{client::Client, envelope::request_id},
+        options::RequestOptions,
+        resources::UploadReservation,
+        response::documented::NewJobErrors,
+        state::SharedState,
+        upload::body::IncomingBody,
+        workers,
     },
-    layers::{client::Client, envelope::request_id},
-    options::RequestOptions,
-    resources::UploadReservation,
-    response::documented::NewJobErrors,
-    state::SharedState,
-    upload::body::IncomingBody,
-    workers,
 };
 
 /// Says that the job was ordered before, with the same `Idempotency-Key`.
@@ -144,6 +147,7 @@ async fn accept(
         model: model.to_owned(),
         content_key: prepared.content_key.clone(),
         idempotency_key: order.job.idempotency_key.clone(),
+        expected_bytes: i64::try_from(most_bytes(state, order)).unwrap_or(i64::MAX),
         order_bytes: i64::try_from(song.as_ref().map_or(0, SongWriter::bytes)).unwrap_or(i64::MAX),
         result,
         callback_url: order.job.callback_url.clone(),
@@ -195,6 +199,22 @@ async fn keep(
         Err(_) => Err(ServerError::Internal("an order was not kept".to_owned())),
     }
 }
+/// The most bytes that the result of an order takes: as much as the longest song's, where the order
+/// does not say how long it is.
+fn most_bytes(state: &SharedState, order: &Order) -> usize {
+    let (format, manifest) = (order.shape.format, order.engine.manifest());
+    let fps = order.options.generation(format).fps;
+    let seconds = order.most_seconds(&state.limits, false);
+    // However long songs may be, what follows is a number.
+    let frames = seconds.saturating_mul(fps.into()).min(u32::MAX.into()) as usize;
+    let size = MotionSize { frames, joints: manifest.skeleton.joints.len(), fps };
+    let file = match state.jobs.durable {
+        true => format.most_bytes(size, &order.options.writing()),
+        false => 0,
+    };
+    stored_bytes(size).saturating_add(file)
+}
+
 
 /// A copy of the result of the same order, where there is one.
 async fn known_result(jobs: &Jobs, prepared: &Prepared, id: Uuid) -> Option<(String, i64)> {
