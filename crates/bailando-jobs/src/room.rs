@@ -28,6 +28,10 @@ pub(crate) const OLDEST_FETCHED: &str =
     "SELECT id FROM jobs WHERE fetched_at IS NOT NULL ORDER BY fetched_at LIMIT 1";
 pub(crate) const OLDEST_FETCHED_OWN: &str =
     "SELECT id FROM jobs WHERE owner = $1 AND fetched_at IS NOT NULL ORDER BY fetched_at LIMIT 1";
+pub(crate) const FINISHED: &str =
+    "SELECT id FROM jobs WHERE finished_at < $1 ORDER BY finished_at LIMIT 1";
+pub(crate) const FINISHED_OWN: &str =
+    "SELECT id FROM jobs WHERE owner = $1 AND finished_at < $2 ORDER BY finished_at LIMIT 1";
 pub(crate) const OLDEST_FINISHED: &str = "SELECT MIN(finished_at) FROM jobs";
 pub(crate) const OLDEST_FINISHED_OWN: &str =
     "SELECT MIN(finished_at) FROM jobs WHERE owner = $1 AND finished_at IS NOT NULL";
@@ -98,6 +102,22 @@ impl JobTable {
         let find = "SELECT id FROM jobs WHERE finished_at < $1 LIMIT 1000";
         let rows = self.rows(sqlx::query(find).bind(time)).await?;
         Ok(rows.iter().filter_map(id_of).collect())
+    }
+
+    /// One of the jobs that finished before a time; of `owner` only, where one is named.
+    ///
+    /// # Errors
+    /// [`JobsError::Database`].
+    pub async fn one_finished_before(
+        &self,
+        time: Millis,
+        owner: Option<&str>,
+    ) -> Result<Option<Uuid>, JobsError> {
+        let find = match owner {
+            Some(owner) => sqlx::query(FINISHED_OWN).bind(owner.to_owned()).bind(time),
+            None => sqlx::query(FINISHED).bind(time),
+        };
+        Ok(self.row(find).await?.as_ref().and_then(id_of))
     }
 }
 

@@ -3,6 +3,7 @@
 pub(crate) mod options;
 pub(crate) mod order;
 pub(crate) mod owners;
+mod room;
 pub(crate) mod service;
 pub(crate) mod song;
 pub(crate) mod status;

@@ -26,8 +26,6 @@ const MEMORY: ByteSize = ByteSize(400_000_000);
 const MEMORY_TTL: Seconds = Seconds::new(600);
 /// When to ask again while the database or the store is down.
 const STORE_RETRY: Seconds = Seconds::new(5);
-/// Jobs that make room for one more, at most.
-const MOST_REPLACED: usize = 16;
 
 /// The jobs of a service, as one replica sees them.
 pub(crate) struct Jobs {
@@ -38,12 +36,10 @@ pub(crate) struct Jobs {
     pub(crate) wake: Notify,
     /// Held while a worker looks who has his share, and takes a job.
     pub(crate) taking: tokio::sync::Mutex<()>,
+    /// Held while room is made for an order, and it is kept.
+    pub(super) ordering: tokio::sync::Mutex<()>,
     pub(crate) owners: OnceLock<Owners>,
-    most: usize,
-    share: usize,
-    bytes: ByteSize,
-    share_of_bytes: u64,
-    ttl: Duration,
+    pub(super) limits: RoomLimits,
     /// Results and streams of events that are read at the same time: each holds about what a
     /// connection does, and a descriptor.
     most_readers: usize,
@@ -52,6 +48,15 @@ pub(crate) struct Jobs {
     patience: Seconds,
     // Held only to look up, to put or to take out.
     here: Mutex<Here>,
+}
+
+/// How much may be kept, for how long.
+pub(super) struct RoomLimits {
+    pub(super) most: usize,
+    pub(super) share: usize,
+    pub(super) bytes: ByteSize,
+    pub(super) share_of_bytes: u64,
+    pub(super) ttl: Duration,
 }
 
 /// What this replica itself does for jobs.
@@ -89,12 +94,15 @@ impl Jobs {
             durable,
             wake: Notify::new(),
             taking: tokio::sync::Mutex::default(),
+            ordering: tokio::sync::Mutex::default(),
             owners: OnceLock::new(),
-            most,
-            share: limits.share_of(most as u64) as usize,
-            bytes,
-            share_of_bytes: limits.share_of(bytes.0),
-            ttl: ttl.0,
+            limits: RoomLimits {
+                most,
+                share: limits.share_of(most as u64) as usize,
+                bytes,
+                share_of_bytes: limits.share_of(bytes.0),
+                ttl: ttl.0,
+            },
             most_readers: limits.max_connections.get(),
             share_of_readers: limits.share_of(limits.max_connections.get() as u64) as usize,
             patience: limits.answer_idle_timeout,
@@ -127,59 +135,7 @@ impl Jobs {
 
     /// Results that were finished before this are gone.
     pub(crate) fn finished_since(&self) -> Millis {
-        now().saturating_sub(i64::try_from(self.ttl.as_millis()).unwrap_or(i64::MAX))
-    }
-
-    /// Whether one more of `client` may be kept.
-    ///
-    /// # Errors
-    /// [`ServerError::TooManyJobs`], [`ServerError::JobBytes`], [`ServerError::JobStore`].
-    pub(crate) async fn check_room(&self, client: Client) -> Result<(), ServerError> {
-        self.replaced(&self.owners().name(client)).await.map(drop)
-    }
-
-    /// Makes room for one more of `owner`.
-    ///
-    /// # Errors
-    /// As [`Jobs::check_room`].
-    pub(crate) async fn make_room(&self, owner: &str) -> Result<(), ServerError> {
-        for _ in 0..MOST_REPLACED {
-            match self.replaced(owner).await? {
-                None => return Ok(()),
-                Some(replaced) => drop(self.forget(replaced).await?),
-            }
-        }
-        Ok(())
-    }
-
-    /// The job whose place one more of `owner` takes: none while there are free ones; else the one
-    /// that was fetched, of the owner's own where those are too many.
-    async fn replaced(&self, owner: &str) -> Result<Option<Uuid>, ServerError> {
-        self.note_fetched().await?;
-        self.expire().await?;
-        let kept = self.table.kept(owner).await?;
-        let count = |jobs: i64| usize::try_from(jobs).unwrap_or(0);
-        let bytes = |bytes: i64| u64::try_from(bytes).unwrap_or(0);
-        let own_fits = bytes(kept.own_bytes) < self.share_of_bytes;
-        let within = Owners::is_unknown(owner) || (count(kept.own) < self.share && own_fits);
-        let fits = bytes(kept.bytes) < self.bytes.0 && (within || own_fits);
-        if within && fits && count(kept.jobs) < self.most {
-            return Ok(None);
-        }
-        let of = (!within).then_some(owner);
-        if let Some(fetched) = self.table.oldest_fetched(of).await? {
-            return Ok(Some(fetched));
-        }
-        // The next place is free when the oldest result goes, unless a client deletes one before.
-        let oldest = self.table.oldest_finished(of).await?;
-        let retry_after = oldest.map_or(Seconds::new(10), |finished| {
-            let age = u64::try_from(now().saturating_sub(finished)).unwrap_or(0);
-            Seconds(self.ttl.saturating_sub(Duration::from_millis(age)))
-        });
-        Err(match fits {
-            true => ServerError::TooManyJobs { most: self.most, retry_after },
-            false => ServerError::JobBytes { bytes: self.bytes, retry_after },
-        })
+        now().saturating_sub(i64::try_from(self.limits.ttl.as_millis()).unwrap_or(i64::MAX))
     }
 
     /// Finds a job.
@@ -209,6 +165,13 @@ impl Jobs {
     /// [`ServerError::JobStore`] if it is still there.
     pub(crate) async fn forget(&self, id: Uuid) -> Result<bool, ServerError> {
         // The row first: a job without files would be a promise that is not kept.
+        let known = self.forget_row(id).await?;
+        self.delete_files(id).await;
+        Ok(known)
+    }
+
+    /// Stops a job and forgets it, but for its files; whether there was one.
+    pub(super) async fn forget_row(&self, id: Uuid) -> Result<bool, ServerError> {
         let known = self.table.delete(id).await?;
         let (running, _) = {
             let mut here = self.here();
@@ -216,10 +179,14 @@ impl Jobs {
             (here.running.get(&id).cloned(), here.answers.remove(&id))
         };
         running.into_iter().for_each(|running| running.deleted.cancel());
+        Ok(known)
+    }
+
+    /// Deletes the files of a job that was forgotten.
+    pub(super) async fn delete_files(&self, id: Uuid) {
         if let Err(error) = self.files.delete_below(&Self::folder(id)).await {
             tracing::warn!(%id, %error, "files of a deleted job are left for the clean-up");
         }
-        Ok(known)
     }
 
     /// Forgets the jobs whose time is over.
@@ -244,7 +211,7 @@ impl Jobs {
         });
     }
 
-    async fn note_fetched(&self) -> Result<(), JobsError> {
+    pub(super) async fn note_fetched(&self) -> Result<(), JobsError> {
         let sent = std::mem::take(&mut self.here().fetched);
         for id in sent {
             self.table.fetched(id).await?;

@@ -8,13 +8,16 @@ use super::{insert, job};
 use crate::{
     JobTable,
     claims::NEXT,
-    room::{KEPT, OLDEST_FETCHED, OLDEST_FETCHED_OWN, OLDEST_FINISHED, OLDEST_FINISHED_OWN},
+    room::{
+        FINISHED, FINISHED_OWN, KEPT, OLDEST_FETCHED, OLDEST_FETCHED_OWN, OLDEST_FINISHED,
+        OLDEST_FINISHED_OWN,
+    },
     sweeps::{ABANDONED, CUT, EXPIRED, LINE_UP},
     table::{FIND_RESULT, LIST, LIST_STATE},
 };
 
 /// Statements, and what finds their jobs.
-const FOUND_BY: [(&str, &[&str]); 15] = [
+const FOUND_BY: [(&str, &[&str]); 17] = [
     (NEXT, &["jobs_line", "jobs_lane", "jobs_later", "jobs_running", "jobs_listed_by_state", "id"]),
     (LIST, &["jobs_listed"]),
     (LIST_STATE, &["jobs_listed_by_state"]),
@@ -22,6 +25,8 @@ const FOUND_BY: [(&str, &[&str]); 15] = [
     (KEPT, &[]),
     (OLDEST_FETCHED, &["jobs_fetched"]),
     (OLDEST_FETCHED_OWN, &["jobs_fetched_own"]),
+    (FINISHED, &["jobs_finished"]),
+    (FINISHED_OWN, &["jobs_finished_own"]),
     (OLDEST_FINISHED, &["jobs_finished"]),
     (OLDEST_FINISHED_OWN, &["jobs_finished_own"]),
     (EXPIRED.0, &["jobs_expiring"]),

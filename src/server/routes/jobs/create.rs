@@ -134,7 +134,6 @@ async fn accept(
     {
         return Ok((same(known, &prepared)?, true));
     }
-    jobs.make_room(&owner).await?;
     let id = song.id();
     let result = known_result(jobs, &prepared, id).await;
     // The song of a dance that is there already is not kept.
@@ -147,8 +146,8 @@ async fn accept(
         model: model.to_owned(),
         content_key: prepared.content_key.clone(),
         idempotency_key: order.job.idempotency_key.clone(),
-        expected_bytes: i64::try_from(most_bytes(state, order)).unwrap_or(i64::MAX),
         order_bytes: i64::try_from(song.as_ref().map_or(0, SongWriter::bytes)).unwrap_or(i64::MAX),
+        expected_bytes: i64::try_from(most_bytes(state, order)).unwrap_or(i64::MAX),
         result,
         callback_url: order.job.callback_url.clone(),
         ..NewJob::new(&owner, &to_text(&prepared.order)?)
@@ -181,8 +180,8 @@ async fn keep(
         // A row without its song would be a job that cannot be done.
         let kept = match written {
             Ok(()) if answer.is_closed() => Ok(None),
-            Ok(()) => jobs.table.insert(job).await.map(Some),
-            Err(error) => Err(error),
+            Ok(()) => jobs.keep(job).await.map(Some),
+            Err(error) => Err(error.into()),
         };
         drop(held);
         let is_kept = matches!(kept, Ok(Some(Inserted::New)));
@@ -199,6 +198,7 @@ async fn keep(
         Err(_) => Err(ServerError::Internal("an order was not kept".to_owned())),
     }
 }
+
 /// The most bytes that the result of an order takes: as much as the longest song's, where the order
 /// does not say how long it is.
 fn most_bytes(state: &SharedState, order: &Order) -> usize {
@@ -214,7 +214,6 @@ fn most_bytes(state: &SharedState, order: &Order) -> usize {
     };
     stored_bytes(size).saturating_add(file)
 }
-
 
 /// A copy of the result of the same order, where there is one.
 async fn known_result(jobs: &Jobs, prepared: &Prepared, id: Uuid) -> Option<(String, i64)> {
