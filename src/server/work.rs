@@ -89,7 +89,7 @@ impl Order {
     }
 
     /// The longest dance that the request says, by its options or by codes without a song.
-    fn said_seconds(&self) -> Option<f64> {
+    pub(crate) fn said_seconds(&self) -> Option<f64> {
         let asked = self.options.longest_seconds();
         let given = self.options.given_codes().filter(|_| self.audio.is_empty());
         let given = given.map(|codes| codes as f64 / self.engine.manifest().codes_per_second());

@@ -116,7 +116,8 @@ async fn what_matters_more_is_done_first() {
     stop(api).await;
 }
 
-/// A result has its room from the order on: as much as the longest song's, if nobody says less.
+/// A result has its room from the order on: as much as the order says, else as the song seems to
+/// take.
 #[tokio::test(flavor = "multi_thread")]
 async fn no_more_is_ordered_than_there_is_room_for_results() {
     let (folder, fake) = (tempfile::tempdir().unwrap(), Fake::new());
@@ -125,8 +126,11 @@ async fn no_more_is_ordered_than_there_is_room_for_results() {
     let api = with_limits(&fake, storage, Role::Api, limits).await;
     // Each takes about 7 MB, and a client has 15 MB.
     let mut paths = Vec::new();
-    for query in ["", "format=json&fps=60", "duration_s=1000"] {
-        paths.push(order(&api, query, b"song").await);
+    let long = vec![b's'; 10_000_000];
+    for (query, song) in
+        [("", &long[..]), ("format=json&fps=60", &long), ("duration_s=1000", b"song")]
+    {
+        paths.push(order(&api, query, song).await);
     }
     let refused = api.expect(post_to("/jobs", b"song"), 503).await;
     assert!(refused.contains("job_bytes") && refused.contains("waiting jobs"), "{refused}");

@@ -92,7 +92,7 @@ limits! {
     /// result was fetched, or else is answered 429
     max_jobs: NonZeroUsize ["max_jobs" u64] "BAILANDO_MAX_JOBS" = count(10_000), whole;
     /// Bytes of songs and results of jobs that are kept at the same time, without a data directory
-    /// 400MB at most; a job that is not done counts with the most that its result can take. Above
+    /// 400MB at most; a job that is not done counts with what its result is expected to take. Above
     /// it a new job replaces one whose result was fetched, or else is answered 503
     job_bytes: ByteSize ["job_bytes" u64] "BAILANDO_JOB_BYTES" = ByteSize(20_000_000_000);
     /// Longest time in seconds that a job may be worked on

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use bailando_jobs::{Inserted, NewJob, now};
+use bailando_jobs::{Inserted, JobRecord, NewJob, now};
 use uuid::Uuid;
 
 use super::{owners::Owners, service::Jobs};
@@ -31,6 +31,27 @@ impl Jobs {
         match self.shortage(&owner).await? {
             Some(shortage) => self.replaceable(&shortage).await.map(drop),
             None => Ok(()),
+        }
+    }
+
+    /// Whether there is room for a result of so many bytes, which the order may not have foreseen.
+    ///
+    /// # Errors
+    /// [`ServerError::JobBytes`], [`ServerError::JobStore`].
+    pub(crate) async fn check_result(
+        &self,
+        job: &JobRecord,
+        bytes: usize,
+    ) -> Result<(), ServerError> {
+        let foreseen = u64::try_from(job.result_bytes).unwrap_or(0);
+        let more = (bytes as u64).saturating_sub(foreseen);
+        if more == 0 {
+            return Ok(());
+        }
+        let kept = self.table.kept(&job.owner).await?;
+        match u64::try_from(kept.bytes).unwrap_or(0).saturating_add(more) > self.limits.bytes.0 {
+            true => Err(self.refused(&Shortage { of: None, bytes: true }, NEXT_ONES)),
+            false => Ok(()),
         }
     }
 
@@ -147,6 +168,19 @@ mod tests {
             let kept = join_all((0..20).map(|_| keep(&jobs, job()))).await;
             assert_eq!(kept.iter().filter(|kept| kept.is_ok()).count(), 3);
         }
+    }
+
+    #[tokio::test]
+    async fn a_result_that_nobody_foresaw_is_kept_where_there_is_room() {
+        let jobs = jobs(&Limits { job_bytes: ByteSize(250), ..Limits::default() });
+        let id = uuid::Uuid::new_v4();
+        keep(&jobs, NewJob { id, expected_bytes: 100, ..NewJob::new("me", "{}") }).await.unwrap();
+        let job = jobs.table.find(id).await.unwrap().unwrap();
+        for fits in [0, 100, 250] {
+            jobs.check_result(&job, fits).await.unwrap();
+        }
+        let refused = jobs.check_result(&job, 251).await;
+        assert!(matches!(refused, Err(ServerError::JobBytes { .. })));
     }
 
     /// All the others are left to the sweeper.

@@ -37,6 +37,7 @@ pub(super) async fn store(
     let dance = Arc::new(dance);
     let written = Arc::clone(&dance);
     let motion = blocking::write(&state.metrics, None, move || Ok(to_stored(&written)?)).await?;
+    state.jobs.check_result(&lease.job, motion.len()).await?;
     let mut bytes = put(&state.jobs, lease, "motion", motion).await?;
     let mut file_bytes = None;
     // In memory the motion is enough, and smaller.
@@ -44,6 +45,8 @@ pub(super) async fn store(
         let written = Arc::clone(&dance);
         let write = move || Ok(options.write(&written, format)?);
         let file = blocking::write(&state.metrics, None, write).await?;
+        let all = usize::try_from(bytes).unwrap_or(usize::MAX).saturating_add(file.len());
+        state.jobs.check_result(&lease.job, all).await?;
         let size = put(&state.jobs, lease, format.name(), file).await?;
         bytes += size;
         file_bytes = Some(size);

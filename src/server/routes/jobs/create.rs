@@ -147,7 +147,7 @@ async fn accept(
         content_key: prepared.content_key.clone(),
         idempotency_key: order.job.idempotency_key.clone(),
         order_bytes: i64::try_from(song.as_ref().map_or(0, SongWriter::bytes)).unwrap_or(i64::MAX),
-        expected_bytes: i64::try_from(most_bytes(state, order)).unwrap_or(i64::MAX),
+        expected_bytes: expected_bytes(state, order, song.as_ref().map_or(0, SongWriter::bytes)),
         result,
         callback_url: order.job.callback_url.clone(),
         ..NewJob::new(&owner, &to_text(&prepared.order)?)
@@ -199,12 +199,19 @@ async fn keep(
     }
 }
 
-/// The most bytes that the result of an order takes: as much as the longest song's, where the order
-/// does not say how long it is.
-fn most_bytes(state: &SharedState, order: &Order) -> usize {
+/// Bytes a second of a song whose length nobody says: 128 kbit/s. A result that proves larger is
+/// kept where there is room for it.
+const SONG_BYTES_A_SECOND: u64 = 16_000;
+
+/// Bytes that the result of an order takes: as long as the order says, else as its song seems.
+fn expected_bytes(state: &SharedState, order: &Order, song_bytes: u64) -> i64 {
     let (format, manifest) = (order.shape.format, order.engine.manifest());
     let fps = order.options.generation(format).fps;
-    let seconds = order.most_seconds(&state.limits, false);
+    let most = order.most_seconds(&state.limits, false);
+    let seconds = match order.said_seconds() {
+        Some(_) => most,
+        None => most.min(song_bytes.div_ceil(SONG_BYTES_A_SECOND)),
+    };
     // However long songs may be, what follows is a number.
     let frames = seconds.saturating_mul(fps.into()).min(u32::MAX.into()) as usize;
     let size = MotionSize { frames, joints: manifest.skeleton.joints.len(), fps };
@@ -212,7 +219,7 @@ fn most_bytes(state: &SharedState, order: &Order) -> usize {
         true => format.most_bytes(size, &order.options.writing()),
         false => 0,
     };
-    stored_bytes(size).saturating_add(file)
+    i64::try_from(stored_bytes(size).saturating_add(file)).unwrap_or(i64::MAX)
 }
 
 /// A copy of the result of the same order, where there is one.
