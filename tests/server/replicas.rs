@@ -124,9 +124,9 @@ async fn no_more_is_ordered_than_there_is_room_for_results() {
     let limits = Limits { job_bytes: ByteSize(20_000_000), ..Limits::default() };
     let storage = in_folder(folder.path()).await;
     let api = with_limits(&fake, storage, Role::Api, limits).await;
-    // Each takes about 7 MB, and a client has 15 MB.
+    // Each takes about 7 MB, songs included, and a client has 15 MB.
     let mut paths = Vec::new();
-    let long = vec![b's'; 10_000_000];
+    let long = vec![b's'; 4_000_000];
     for (query, song) in
         [("", &long[..]), ("format=json&fps=60", &long), ("duration_s=1000", b"song")]
     {

@@ -176,10 +176,10 @@ mod tests {
         let id = uuid::Uuid::new_v4();
         keep(&jobs, NewJob { id, expected_bytes: 100, ..NewJob::new("me", "{}") }).await.unwrap();
         let job = jobs.table.find(id).await.unwrap().unwrap();
-        for fits in [0, 100, 250] {
+        for fits in [0, 100, 240] {
             jobs.check_result(&job, fits).await.unwrap();
         }
-        let refused = jobs.check_result(&job, 251).await;
+        let refused = jobs.check_result(&job, 260).await;
         assert!(matches!(refused, Err(ServerError::JobBytes { .. })));
     }
 
