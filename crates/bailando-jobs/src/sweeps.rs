@@ -77,15 +77,17 @@ impl JobTable {
     ) -> Result<Vec<Uuid>, JobsError> {
         let mut failed = Vec::new();
         loop {
-            let some = self.rows(which()).await?;
-            for row in &some {
+            let mut changed = false;
+            for row in &self.rows(which()).await? {
                 let id: String = row.try_get(0)?;
                 let fail = sqlx::query(fail).bind(reason.clone()).bind(now).bind(id.clone());
                 if self.change(fail).await? {
+                    changed = true;
                     failed.extend(Uuid::try_parse(&id));
                 }
             }
-            if some.is_empty() {
+            // What cannot be changed now is left to the next sweep.
+            if !changed {
                 return Ok(failed);
             }
         }
