@@ -5,7 +5,7 @@ use std::time::Duration;
 use sqlx::Row;
 use uuid::Uuid;
 
-use super::{JobTable, JobsError, Lease, Millis, leases::after, record::now};
+use super::{JobTable, JobsError, Lease, Millis, leases::after, record::now, table::fail_where};
 
 /// What a worker takes.
 #[derive(Clone, Debug)]
@@ -152,12 +152,8 @@ impl JobTable {
 
     /// Fails a job that was taken with this token and whose row cannot be read.
     async fn bury(&self, id: String, token: String) -> Result<(), JobsError> {
-        const CHANGE: &str = "UPDATE jobs SET state = 'failed', error_json = NULL, \
-             order_bytes = LENGTH(order_json), result_bytes = 0, finished_at = $1, lease = NULL, \
-             lease_until = NULL, stage = NULL, \
-             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($1 AS BIGINT) END \
-             WHERE id = $2 AND lease = $3";
-        let change = sqlx::query(CHANGE).bind(now()).bind(id).bind(token);
+        let change = sqlx::query(fail_where!("lease = $4"));
+        let change = change.bind(None::<String>).bind(now()).bind(id).bind(token);
         self.change(change).await.map(drop)
     }
 }

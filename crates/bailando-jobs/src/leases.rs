@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::{JobRecord, JobTable, JobsError, Millis, record::now};
+use super::{JobRecord, JobTable, JobsError, Millis, record::now, table::fail_where};
 
 /// The right to work on a job until the lease ends.
 #[derive(Clone, Debug)]
@@ -98,12 +98,7 @@ impl JobTable {
     /// # Errors
     /// [`JobsError::Database`].
     pub async fn fail(&self, lease: &Lease, error: String) -> Result<bool, JobsError> {
-        const CHANGE: &str = "UPDATE jobs SET state = 'failed', error_json = $1, \
-             order_bytes = LENGTH(order_json), result_bytes = 0, finished_at = $2, lease = NULL, \
-             lease_until = NULL, stage = NULL, \
-             callback_after = CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
-             WHERE id = $3 AND lease = $4";
-        let change = sqlx::query(CHANGE)
+        let change = sqlx::query(fail_where!("lease = $4"))
             .bind(error)
             .bind(now())
             .bind(lease.job.id.to_string())

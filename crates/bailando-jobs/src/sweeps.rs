@@ -6,24 +6,17 @@ use sqlx::Row;
 use uuid::Uuid;
 
 use super::{
-    JobTable, JobsError, LONGEST_WAIT, Millis, leases::after, record::now, table::Statement,
+    JobTable, JobsError, LONGEST_WAIT, Millis,
+    leases::after,
+    record::now,
+    table::{Statement, fail_where},
 };
 
-/// Jobs that nobody will begin now, $1, and how to fail one of them, $3, for the reason $1: alone,
-/// since its bytes change. One that was taken meanwhile is left alone.
+/// How to find jobs without hope at the time $1, and how to fail one of them: each by itself, since
+/// the schema counts the bytes of one job at a time. One that was taken meanwhile is left as it is.
 macro_rules! hopeless {
     ($which:literal, $still:literal) => {
-        (
-            concat!("SELECT id FROM jobs WHERE ", $which, " LIMIT 1000"),
-            concat!(
-                "UPDATE jobs SET state = 'failed', error_json = $1, \
-                 order_bytes = LENGTH(order_json), result_bytes = 0, finished_at = $2, \
-                 lease = NULL, lease_until = NULL, stage = NULL, callback_after = \
-                 CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
-                 WHERE id = $3 AND ",
-                $still
-            ),
-        )
+        (concat!("SELECT id FROM jobs WHERE ", $which, " LIMIT 1000"), fail_where!($still))
     };
 }
 

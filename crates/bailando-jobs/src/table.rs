@@ -73,6 +73,22 @@ pub(crate) const LIST_STATE: &str =
 pub(crate) const FIND_RESULT: &str = "SELECT * FROM jobs WHERE content_key = $1 \
      AND state = 'done' AND finished_at >= $2 ORDER BY finished_at DESC LIMIT 1";
 
+/// Fails the job $3 at $2 for the reason $1, where `$and` holds of it: its bytes are given back,
+/// and its callback is due.
+macro_rules! fail_where {
+    ($and:literal) => {
+        concat!(
+            "UPDATE jobs SET state = 'failed', error_json = $1, order_bytes = LENGTH(order_json), \
+             result_bytes = 0, finished_at = $2, lease = NULL, lease_until = NULL, stage = NULL, \
+             callback_after = \
+             CASE WHEN callback_url IS NULL THEN NULL ELSE CAST($2 AS BIGINT) END \
+             WHERE id = $3 AND ",
+            $and
+        )
+    };
+}
+pub(crate) use fail_where;
+
 pub(crate) type Statement = Query<'static, Any, sqlx::any::AnyArguments>;
 
 impl JobTable {

@@ -84,7 +84,7 @@ pub enum StorageError {
     /// Callbacks could not be told from those of others.
     #[error("--callback-allow needs --callback-secret, which callbacks are signed with")]
     NoSecret,
-    /// Anybody could sign as this server does, or nobody check it.
+    /// A secret that could be guessed, or that no receiver could decode.
     #[error(
         "--callback-secret (BAILANDO_CALLBACK_SECRET) {0}: `openssl rand -base64 32` makes a secret"
     )]

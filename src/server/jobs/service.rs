@@ -34,7 +34,7 @@ pub(crate) struct Jobs {
     pub(crate) durable: bool,
     /// Rung when there may be something to do.
     pub(crate) wake: Notify,
-    /// Held while a worker looks who has his share, and takes a job.
+    /// Held while a worker counts the running jobs of each owner and takes the next job.
     pub(crate) taking: tokio::sync::Mutex<()>,
     /// Held while room is made for an order, and it is kept.
     pub(super) ordering: tokio::sync::Mutex<()>,

@@ -61,9 +61,9 @@ pub(super) fn music_library(
         .with_known_counts(Arc::clone(known))
 }
 
-/// The counts that the data say of training songs, but for the share of the songs whose counts are
-/// those that the tracker hears, as in serving. librosa's are all heard: they are late, always by
-/// the same, and a model follows the ones or the others.
+/// The counts of training songs by the data's own beats. Left out is the share of the songs that
+/// learn from the tracker's counts, as in serving. With librosa all songs do: its counts are late
+/// by a constant, and a model learns either those or the data's.
 pub(super) fn known_counts(data: &DataConfig, portion: &Portion<Training>) -> Arc<KnownCounts> {
     if data.counts == CountSource::Librosa || data.count_periods.is_empty() {
         return Arc::default();

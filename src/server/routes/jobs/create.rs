@@ -199,8 +199,8 @@ async fn keep(
     }
 }
 
-/// Bytes a second of a song whose length nobody says: 128 kbit/s. A result that proves larger is
-/// kept where there is room for it.
+/// Assumed bit rate of a song, where the order does not say a length: 128 kbit/s, in bytes a
+/// second. A larger result is kept where there is room for it.
 const SONG_BYTES_A_SECOND: u64 = 16_000;
 
 /// Bytes that the result of an order takes: as long as the order says, else as its song seems.
