@@ -105,10 +105,10 @@ impl JobTable {
     /// a failed job.
     pub async fn claim(&self, claim: &Claim<'_>) -> Result<Option<Lease>, JobsError> {
         loop {
-            let now = now();
-            let Some(id) = self.next(claim, now).await? else { return Ok(None) };
-            // Another worker was faster. Each time round one more job was taken, so this ends.
-            if let Some(lease) = self.take(id, claim.lease, now).await? {
+            let Some(id) = self.next(claim, now()).await? else { return Ok(None) };
+            // The clock is read again: the search may have waited, and found a job that was ordered
+            // in the meantime. Where another worker was faster one more job was taken, so this ends.
+            if let Some(lease) = self.take(id, claim.lease, now()).await? {
                 return Ok(Some(lease));
             }
         }
