@@ -22,8 +22,8 @@ pub(super) struct EvaluateArgs {
     #[arg(long, value_name = "DIR", conflicts_with = "beats")]
     music: Option<PathBuf>,
     /// The same for songs that are no pieces of the reference; generated motions are named after
-    /// them
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["beats", "music", "split"])]
+    /// them. With --beats, their beats are those of that file
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["music", "split"])]
     new_songs: Option<PathBuf>,
     /// Beats of the music: {"beats": {piece or audio file: [frame, ..]}}, frames at 60 a second
     #[arg(long, value_name = "F.json")]
@@ -80,9 +80,11 @@ impl EvaluateArgs {
             reference: self.reference.clone(),
             split: self.split.clone(),
             beats: match (&self.beats, &self.music, &self.new_songs) {
+                (beats, _, Some(folder)) => {
+                    BeatsFrom::NewSongs { folder: folder.clone(), beats: beats.clone() }
+                }
                 (Some(file), ..) => BeatsFrom::File(file.clone()),
                 (None, Some(folder), _) => BeatsFrom::Audio(folder.clone()),
-                (None, None, Some(folder)) => BeatsFrom::NewSongs(folder.clone()),
                 (None, None, None) => BeatsFrom::Reference,
             },
             clips: match self.window {

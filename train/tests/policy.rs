@@ -2,15 +2,16 @@
 //! undisturbed one, and the adapted model is served. (That rewards rise is a unit test.)
 
 use crate::testing;
-use std::{fs, path::Path, process::Command, sync::Arc};
+use std::{collections::BTreeMap, fs, path::Path, process::Command, sync::Arc};
 
 use crate::common::{alone, swinging};
-use bailando::model::ModelDirectory;
+use bailando::model::{Manifest, ModelDirectory};
 use bailando_train::{
     export::skeleton,
     training::{
-        Adaptation, Config, Limits, MotionFrame, MotionPiece, MotionSet, Motions, Outcome, Song,
-        SongRows, Stage, TrainError, adapt, export, export_adapted, train, trained_weights,
+        Adaptation, Config, Limits, MotionFrame, MotionPiece, MotionSet, Motions, Outcome,
+        ServedModel, Song, SongRows, Stage, TrainError, adapt, export, export_adapted, train,
+        trained_weights,
     },
     weights::GptWeights,
 };
@@ -122,6 +123,7 @@ fn rewards_move_the_policy() {
     resumes_exactly(&config, &broken, &motion_set());
     only_policy_and_critic_move(&config);
     adapts(&config, first);
+    adapts_a_model(&config, first);
 }
 
 fn resumes_exactly(whole: &Config, broken: &Config, set: &MotionSet) {
@@ -193,7 +195,7 @@ fn only_policy_and_critic_move(config: &Config) {
 fn adapts(config: &Config, folder: &Path) {
     let path = folder.join("song.wav");
     fs::write(&path, b"only its hash matters here").unwrap();
-    let adaptation = Adaptation::new(config, &path, song(0.4)).unwrap();
+    let adaptation = Adaptation::new(config, &path, song(0.4), None).unwrap();
     let run = |limits| adapt(config, &adaptation, None, limits, &mut Vec::new()).unwrap();
     assert_eq!(run(steps(2)), Outcome::Paused);
     let out = folder.join("adapted");
@@ -204,7 +206,7 @@ fn adapts(config: &Config, folder: &Path) {
     // The same bytes under another name resume.
     let other = folder.join("renamed.wav");
     fs::copy(&path, &other).unwrap();
-    let renamed = Adaptation::new(config, &other, song(0.4)).unwrap();
+    let renamed = Adaptation::new(config, &other, song(0.4), None).unwrap();
     assert_eq!(renamed.folder, adaptation.folder);
     assert_eq!(run(Limits::default()), Outcome::Finished);
     assert_eq!(column(&adaptation.folder.join("adapt"), 0).len(), 6);
@@ -219,6 +221,41 @@ fn adapts(config: &Config, folder: &Path) {
     let hash = |model: &ModelDirectory, file: &str| model.manifest().files[file].sha256.clone();
     assert_ne!(hash(&model, "gpt.onnx"), hash(&plain, "gpt.onnx"));
     assert_eq!(hash(&model, "decoder.onnx"), hash(&plain, "decoder.onnx"));
+}
+
+/// The same from the model directory alone: nothing of the run is needed.
+fn adapts_a_model(config: &Config, folder: &Path) {
+    let path = folder.join("song.wav");
+    let model = ServedModel::open(&config.export.folder).unwrap();
+    let mut other = Config::parse(include_str!("../presets/tiny.toml")).unwrap();
+    other.run.folder = folder.join("elsewhere");
+    (other.gpt.block, other.gpt.channels, other.data.frame) = (4, 12, MotionFrame::World);
+    let other = model.settings(other);
+    assert_eq!((other.gpt.block, other.gpt.channels), (config.gpt.block, config.gpt.channels));
+    assert_eq!(other.gpt.base_layers, config.gpt.base_layers);
+    assert_eq!(other.data.frame, config.data.frame);
+    let adaptation = Adaptation::new(&other, &path, song(0.4), Some(model)).unwrap();
+    let run = |limits| adapt(&other, &adaptation, None, limits, &mut Vec::new()).unwrap();
+    assert_eq!(run(steps(1)), Outcome::Paused);
+    assert_eq!(run(Limits::default()), Outcome::Finished);
+    let out = folder.join("adapted-model");
+    export_adapted(&other, &adaptation, &out, false).unwrap();
+    let [before, after] = [&config.export.folder, &out].map(|path| {
+        let directory = ModelDirectory::open(path).unwrap();
+        directory.gpt(1).unwrap();
+        directory.manifest().clone()
+    });
+    assert_eq!(after.training["adapted_to"], "song.wav");
+    assert_eq!(after.training["checkpoints"], before.training["checkpoints"]);
+    for (name, entry) in &before.files {
+        assert_eq!(after.files[name] == *entry, name != "gpt.onnx", "{name}");
+    }
+    let same = |manifest: Manifest| Manifest {
+        files: BTreeMap::new(),
+        training: BTreeMap::new(),
+        ..manifest
+    };
+    assert_eq!(same(after), same(before));
 }
 
 /// From a data folder and an audio file to two model directories, by the commands themselves.
@@ -269,4 +306,19 @@ fn commands_train_and_adapt() {
     assert!(wrote.contains("adapted"), "{wrote}");
     let model = ModelDirectory::open(&out).unwrap();
     assert_eq!(model.manifest().training["adapted_to"], "d.wav");
+
+    // From a model directory, and from the run by way of one: dances are made and imitated.
+    for (name, value) in [("candidates", 2), ("dances", 2), ("stride", 1)] {
+        text["adapt"].as_table_mut().unwrap().insert(name.into(), value.into());
+    }
+    fs::write(&settings, text.to_string()).unwrap();
+    for (name, start) in [("imitated", &["--model", out.to_str().unwrap()][..]), ("of run", &[])] {
+        let to = folder.path().join(name);
+        let paused = run(&[&song[..], start, &["--max-steps", "1"]].concat());
+        assert!(paused.contains("dance 2/2") && paused.contains("paused"), "{paused}");
+        let resumed = run(&[&song[..], start, &["--out", to.to_str().unwrap()]].concat());
+        assert!(!resumed.contains("dance 1/2") && resumed.contains("finished"), "{resumed}");
+        let model = ModelDirectory::open(&to).unwrap();
+        assert!((1..=2).contains(&model.manifest().start_codes.len()));
+    }
 }

@@ -31,8 +31,13 @@ pub enum BeatsFrom {
     File(PathBuf),
     /// A folder of audio files: column 53 of their features, as published.
     Audio(PathBuf),
-    /// The same, for songs that are no pieces of the reference; its own row has no beats then.
-    NewSongs(PathBuf),
+    /// A folder of songs that are no pieces of the reference; its own row has no beats then.
+    NewSongs {
+        /// The songs.
+        folder: PathBuf,
+        /// Their beats as in [`BeatsFrom::File`]; absent: as in [`BeatsFrom::Audio`].
+        beats: Option<PathBuf>,
+    },
 }
 
 /// Music beats of every piece, in frames at 60 a second, ascending.
@@ -66,7 +71,7 @@ impl MusicBeats {
                 let source = "grid_beats_s of the data folder";
                 Ok(Self::collect(source, pieces, |id| grid(id, reference).ok_or(())).ok())
             }
-            BeatsFrom::File(path) => {
+            BeatsFrom::File(path) | BeatsFrom::NewSongs { beats: Some(path), .. } => {
                 let table = beats_file(path)?;
                 let beats = Self::collect("beats file", pieces, |id| {
                     let names = names(id, reference);
@@ -75,7 +80,7 @@ impl MusicBeats {
                 });
                 beats.map(Some)
             }
-            BeatsFrom::Audio(folder) | BeatsFrom::NewSongs(folder) => {
+            BeatsFrom::Audio(folder) | BeatsFrom::NewSongs { folder, beats: None } => {
                 let mut songs = SongBeats::new(folder)?;
                 let beats = Self::collect("column 53 of the audio's features", pieces, |id| {
                     let names = names(id, reference);
@@ -128,7 +133,7 @@ impl SongForms {
         reference: &Reference,
     ) -> Result<Self, EvaluationError> {
         let folder = match from {
-            BeatsFrom::Audio(folder) | BeatsFrom::NewSongs(folder) => Some(folder),
+            BeatsFrom::Audio(folder) | BeatsFrom::NewSongs { folder, .. } => Some(folder),
             BeatsFrom::Reference | BeatsFrom::File(_) => None,
         };
         let files = folder.map(|folder| songs(folder)).transpose()?.unwrap_or_default();

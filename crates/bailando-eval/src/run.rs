@@ -144,7 +144,7 @@ fn generated_sets(
         }
         let set = match options.split {
             Some(_) => only_split(set, reference, split, &folder, warnings)?,
-            None if matches!(options.beats, BeatsFrom::NewSongs(_)) => set,
+            None if matches!(options.beats, BeatsFrom::NewSongs { .. }) => set,
             None => {
                 set.pieces.iter().try_for_each(|piece| reference.split_of(&piece.id).map(drop))?;
                 set
@@ -266,7 +266,7 @@ fn pieces<'a>(
     sets: &'a [NamedSet],
 ) -> impl Iterator<Item = &'a str> {
     // New songs are no pieces of the reference.
-    let own = (!matches!(from, BeatsFrom::NewSongs(_))).then_some(&reference.test);
+    let own = (!matches!(from, BeatsFrom::NewSongs { .. })).then_some(&reference.test);
     let all = own.into_iter().chain(sets.iter().map(|(_, set)| set));
     all.flat_map(|set| set.pieces.iter().map(|piece| piece.id.as_str()))
 }

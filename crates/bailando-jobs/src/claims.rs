@@ -107,7 +107,7 @@ impl JobTable {
         loop {
             let Some(id) = self.next(claim, now()).await? else { return Ok(None) };
             // The clock is read again: the search may have waited, and found a job that was ordered
-            // in the meantime. Where another worker was faster one more job was taken, so this ends.
+            // in the meantime. Where another worker was faster one more job was taken: this ends.
             if let Some(lease) = self.take(id, claim.lease, now()).await? {
                 return Ok(Some(lease));
             }

@@ -83,6 +83,8 @@ pub enum Problem {
     Amplified(usize),
     #[error("holds {0} values, expected floating point")]
     NotFloat(&'static str),
+    #[error("this is no ONNX graph of a model directory: {0}")]
+    Onnx(String),
     #[error("holds values that are not finite")]
     NotFinite,
 }

@@ -225,12 +225,15 @@ pub(super) struct GenerateArguments {
     pub(super) seed: u64,
 }
 
-/// Train the policy on the rewards of one song, for which no motion is needed.
+/// Adapt a model to one song, for which no motion is needed
 ///
-/// Starts from the finished actor-critic of the run, else from its gpt. Resumes from its last
-/// checkpoint, which is found by the song's content.
+/// By the settings it imitates its own dances to the song, the best of some candidates for each
+/// phrase, or learns from their rewards. Starts from a model directory, else from the finished
+/// actor-critic of the run, else from its gpt. Resumes from its last checkpoint, which is found by
+/// the content of song and model.
 #[derive(Args, Debug)]
-#[command(after_help = "Example: bailando-train adapt train/presets/default.toml --song song.mp3")]
+#[command(after_help = "Example: bailando-train adapt train/presets/default.toml \\
+  --model models/default --song song.mp3 --out models/song")]
 pub(super) struct AdaptArguments {
     #[command(flatten)]
     pub(super) stage: StageArguments,
@@ -238,6 +241,11 @@ pub(super) struct AdaptArguments {
     /// The song: any audio file that the server takes
     #[arg(long, value_name = "FILE")]
     pub(super) song: PathBuf,
+
+    /// Model directory to start from: what the settings say of sizes, features and counts is the
+    /// model's then [default: the run of the settings]
+    #[arg(long, value_name = "DIR")]
+    pub(super) model: Option<PathBuf>,
 
     /// Model directory to write [default: `model` in the song's folder of the run]
     #[arg(long, value_name = "DIR")]

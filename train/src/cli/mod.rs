@@ -26,8 +26,9 @@ use crate::{
     import::{ImportOptions, import},
     music_gap::music_gap,
     training::{
-        AblationConfig, Adaptation, Limits, MotionSet, Outcome, Stage, StopFlag, adapt, export,
-        export_adapted, generate_test_motions, learn_styles, run_all, target_song, train,
+        AblationConfig, Adaptation, Limits, MotionSet, Outcome, ServedModel, Stage, StopFlag,
+        adapt, export, export_adapted, generate_test_motions, learn_styles, run_all, target_song,
+        train,
     },
     trial::try_dance,
 };
@@ -120,9 +121,19 @@ fn adapt_policy(
     stop: Option<&'static StopFlag>,
     output: &mut impl Write,
 ) -> anyhow::Result<()> {
-    let config = arguments.stage.settings.read()?;
-    let song = target_song(&config.data, &arguments.song)?;
-    let adaptation = Adaptation::new(&config, &arguments.song, song)?;
+    let mut config = arguments.stage.settings.read()?;
+    let model = match &arguments.model {
+        Some(model) => Some(ServedModel::open(model)?),
+        None if config.adapt.candidates > 0 => Some(ServedModel::of_run(&config)?),
+        None => None,
+    };
+    let mut counts_late_s = 0.0;
+    if let Some(model) = &model {
+        config = model.settings(config);
+        counts_late_s = model.counts_late_s();
+    }
+    let song = target_song(&config.data, counts_late_s, &arguments.song)?;
+    let adaptation = Adaptation::new(&config, &arguments.song, song, model)?;
     let (init, limits) = (arguments.stage.init.as_deref(), arguments.stage.limits(stop));
     let outcome = adapt(&config, &adaptation, init, limits, output)?;
     report_outcome(outcome, output)?;

@@ -17,7 +17,7 @@ use ndarray::Array2;
 
 use super::{
     DataError, FPS, FeatureCache, FeatureKey, MusicSource, audio::decoded, files, json,
-    tracker::CountTracker,
+    tracker::BeatTracker,
 };
 
 /// Computes, caches and hands out music rows of one profile.
@@ -28,7 +28,8 @@ pub struct MusicLibrary {
     computed: usize,
     count_periods: Vec<u32>,
     counts_late_s: f64,
-    tracker: CountTracker,
+    counts: CountSource,
+    network: BeatTracker,
     known: Arc<KnownCounts>,
 }
 
@@ -46,7 +47,8 @@ impl MusicLibrary {
             computed: 0,
             count_periods: Vec::new(),
             counts_late_s: 0.0,
-            tracker: CountTracker::Librosa,
+            counts: CountSource::default(),
+            network: BeatTracker::default(),
             known: Arc::default(),
         }
     }
@@ -55,7 +57,7 @@ impl MusicLibrary {
     #[must_use]
     pub fn with_count_periods(mut self, periods: &[u32], source: CountSource) -> Self {
         self.count_periods = periods.to_vec();
-        self.tracker = CountTracker::new(source);
+        self.counts = source;
         self
     }
 
@@ -110,15 +112,20 @@ impl MusicLibrary {
         }
     }
 
-    /// `[T, 438]` at 60 rows a second: a frame of the dance is a row.
+    /// Seconds of a song's beats, as the beat network hears them; those of column 53 where there is
+    /// no song but its rows, which may have every other beat alone (ARCHITECTURE section 7).
     ///
     /// # Errors
-    /// As [`MusicLibrary::conditioning`].
-    pub fn beats(&mut self, music: &MusicSource) -> Result<Array2<f32>, DataError> {
+    /// As [`MusicLibrary::conditioning`]; [`DataError::Beats`] where the network fails.
+    pub fn beats_s(&mut self, music: &MusicSource) -> Result<Vec<f64>, DataError> {
         match music {
-            MusicSource::Audio(path) => self.whole(path, Rate::Beats),
+            MusicSource::Audio(path) => Ok(self.network.beats(path)?.beats_s),
             MusicSource::DanceRows(path) | MusicSource::Rows(path) => match json::rows(path)? {
-                (rows, Rate::Beats) => Ok(rows),
+                (rows, Rate::Beats) => {
+                    let beats = rows.column(BEAT_COLUMN).into_iter().enumerate();
+                    let beats = beats.filter(|(_, beat)| **beat > 0.5);
+                    Ok(beats.map(|(frame, _)| frame as f64 / FPS as f64).collect())
+                }
                 _ => Err(stored(path, "music_array has 7.5 rows a second, beats need 60")),
             },
         }
@@ -164,8 +171,8 @@ impl MusicLibrary {
     /// Counts over the whole song, as in serving.
     fn tracked_counts(&mut self, path: &Path) -> Result<Option<BeatPhase>, DataError> {
         let whole = self.whole(path, Rate::Conditioning)?;
-        if let CountTracker::Beatnet(tracker) = &mut self.tracker {
-            let song = tracker.beats(path)?;
+        if self.counts == CountSource::Beatnet {
+            let song = self.network.beats(path)?;
             return Ok(BeatPhase::of(&song, whole.view()));
         }
         let beats = self.whole(path, Rate::Beats)?;

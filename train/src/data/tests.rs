@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use bailando::{
-    features::{MFCC_COLUMNS, Profile},
+    features::{BEAT_COLUMN, MFCC_COLUMNS, Profile},
     model::CountSource,
 };
 use ndarray::Array2;
@@ -97,7 +97,8 @@ fn reference_file(path: &Path, seed: u32, rows: usize) {
     let positions = dance(&skeleton(0.93), 80, seed);
     let flat: Vec<f32> = positions.iter().copied().collect();
     let dance: Vec<&[f32]> = flat.chunks(72).collect();
-    let music = vec![vec![0.5; 438]; rows];
+    let mut music = vec![vec![0.5; 438]; rows];
+    music.iter_mut().skip(30).step_by(30).for_each(|row| row[BEAT_COLUMN] = 1.0);
     let file = json!({"id": "x", "music_array": music, "dance_array": dance});
     fs::write(path, file.to_string()).unwrap();
 }
@@ -122,7 +123,8 @@ fn the_references_files_are_read_with_music_of_either_rate() {
     let music: Vec<_> =
         training.recordings().iter().map(|d| d.songs()[0].music.clone().unwrap()).collect();
     let mut library = library(&root.join("cache"));
-    assert_eq!(library.beats(&music[0]).unwrap().dim(), (80, 438));
+    assert_eq!(library.beats_s(&music[0]).unwrap(), [0.5, 1.0]);
+    assert!(library.beats_s(&music[1]).is_err(), "rows of 7.5 a second say too little of beats");
     assert!(library.conditioning(&music[0], 0).is_err());
     assert_eq!(library.conditioning(&music[1], 0).unwrap().dim(), (10, 438));
     assert!(library.conditioning(&music[1], 1).is_err());

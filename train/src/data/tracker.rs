@@ -1,34 +1,18 @@
-//! The trackers that the counts of songs come from.
+//! The beat network as the tracker of songs' beats.
 
 use std::path::Path;
 
 use bailando::{
     CancelToken,
     features::{BeatFinder, FeatureError, SongBeats},
-    model::{BeatNetwork, CountSource, ModelError},
+    model::{BeatNetwork, ModelError},
 };
 
 use super::{DataError, audio::decoded, files};
 
-/// What finds the counts of a song.
-pub(super) enum CountTracker {
-    /// librosa's beats, from the rows that are cached anyway.
-    Librosa,
-    Beatnet(Box<NetworkTracker>),
-}
-
-impl CountTracker {
-    pub(super) fn new(source: CountSource) -> Self {
-        match source {
-            CountSource::Librosa => Self::Librosa,
-            CountSource::Beatnet => Self::Beatnet(Box::default()),
-        }
-    }
-}
-
 /// The beat network, loaded with its first song.
 #[derive(Default)]
-pub(super) struct NetworkTracker {
+pub(super) struct BeatTracker {
     loaded: Option<(BeatFinder, BeatNetwork)>,
 }
 
@@ -47,7 +31,7 @@ impl From<ModelError> for Failed {
     }
 }
 
-impl NetworkTracker {
+impl BeatTracker {
     /// Finds the beats of a song.
     pub(super) fn beats(&mut self, path: &Path) -> Result<SongBeats, DataError> {
         let audio = decoded(path, files::read(path)?, &[BeatFinder::HZ])?;

@@ -35,6 +35,8 @@ pub enum ExportError {
     #[error("{} is not a place for a new directory", .0.display())]
     NoName(PathBuf),
     #[error("{}: {source}", path.display())]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{}: {source}", path.display())]
     Write { path: PathBuf, source: std::io::Error },
     #[error("the written model cannot be loaded: {0}")]
     Load(#[from] ModelError),

@@ -20,6 +20,11 @@ use crate::{
 };
 use staging::Staging;
 
+/// The motion GPT's graph.
+pub(crate) const GPT_FILE: &str = "gpt.onnx";
+/// The graph that turns codes into motion.
+pub(crate) const DECODER_FILE: &str = "decoder.onnx";
+
 /// Writes a model directory at `out`, checked by loading it before it takes its place.
 ///
 /// 8-bit weights take the ranges of their inputs from `ranges`; without one they find it at run
@@ -41,8 +46,8 @@ pub fn write_model_directory(
     let mut manifest = manifest::manifest(gpt, vqvae, description)?;
     let mut staging = Staging::beside(out, replace)?;
     let graphs = [
-        ("gpt.onnx", gpt_graph(gpt, description.weights, ranges)?),
-        ("decoder.onnx", decoder_graph(vqvae, description.weights)?),
+        (GPT_FILE, gpt_graph(gpt, description.weights, ranges)?),
+        (DECODER_FILE, decoder_graph(vqvae, description.weights)?),
         ("encoder.onnx", encoder_graph(vqvae, description.weights)?),
     ];
     for (name, bytes) in graphs {
@@ -54,6 +59,38 @@ pub fn write_model_directory(
         let entry = staging.write(STYLES_FILE, &text)?;
         manifest.files.insert(STYLES_FILE.to_owned(), entry);
     }
+    publish(staging, manifest)
+}
+
+/// Writes the model directory `root`, whose manifest is `manifest`, again at `out` with another
+/// motion GPT of the same sizes; `facts` are added to what the manifest says of the training.
+///
+/// # Errors
+/// As [`write_model_directory`].
+pub fn write_with_gpt(
+    (root, mut manifest): (&Path, Manifest),
+    (out, replace): (&Path, bool),
+    gpt: &GptWeights,
+    ranges: &InputRanges,
+    facts: impl IntoIterator<Item = (String, serde_json::Value)>,
+) -> Result<Manifest, ExportError> {
+    manifest.training.extend(facts);
+    let mut staging = Staging::beside(out, replace)?;
+    for (name, entry) in &mut manifest.files {
+        let bytes = match name.as_str() {
+            GPT_FILE => gpt_graph(gpt, manifest.weights, ranges)?,
+            _ => {
+                let path = root.join(name);
+                std::fs::read(&path).map_err(|source| ExportError::Read { path, source })?
+            }
+        };
+        *entry = staging.write(name, &bytes)?;
+    }
+    publish(staging, manifest)
+}
+
+/// Adds the manifest, and puts what can be loaded in its place.
+fn publish(mut staging: Staging, manifest: Manifest) -> Result<Manifest, ExportError> {
     let mut text = serde_json::to_string_pretty(&manifest).map_err(ExportError::Manifest)?;
     text.push('\n');
     staging.write("manifest.json", text.as_bytes())?;

@@ -20,6 +20,15 @@ pub struct Logits<B: Backend> {
     pub lower: Tensor<B, 3>,
 }
 
+impl<B: Backend> Logits<B> {
+    /// Returns the scores of codes that are drawn at a temperature above 0.
+    #[must_use]
+    pub fn at_temperature(self, temperature: f64) -> Self {
+        let scaled = |scores: Tensor<B, 3>| scores.div_scalar(temperature);
+        Self { upper: scaled(self.upper), lower: scaled(self.lower) }
+    }
+}
+
 /// Keys and values of pieces that the network extends step by step.
 #[derive(Clone, Debug)]
 pub struct KvCache<B: Backend> {

@@ -10,12 +10,14 @@ mod gpt;
 mod proto;
 mod quantise;
 mod ranges;
+mod read;
 mod receptive;
 
 pub use decoder::decoder_graph;
 pub use encoder::encoder_graph;
 pub use gpt::gpt_graph;
 pub use ranges::InputRanges;
+pub use read::GraphWeights;
 pub use receptive::receptive_codes;
 
 /// Why a graph could not be written.

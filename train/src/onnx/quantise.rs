@@ -119,6 +119,11 @@ fn step_and_zero([least, largest]: [f32; 2]) -> (f32, u8) {
     (step, (-least / step).round() as u8)
 }
 
+/// Returns the range that [`step_and_zero`] was given.
+pub(super) fn range(step: f32, zero: u8) -> [f32; 2] {
+    [-f32::from(zero) * step, (STEPS - f32::from(zero)) * step]
+}
+
 /// A matrix, quantised column by column.
 struct Columns {
     /// Row-major, one signed byte each.

@@ -8,7 +8,7 @@ use burn_tensor::Tensor;
 use super::{
     checkpoint::Checkpoint,
     config::{ActorCriticConfig, Config, RunConfig},
-    decode::MotionDecoder,
+    decode::{MotionDecoder, motion_weights},
     error::TrainError,
     identity::Identity,
     policy::{Policy, first_critic},
@@ -24,7 +24,7 @@ use super::{
 use crate::{
     checkpoint::TorchCheckpoint,
     nn::{CriticNet, Parameters, Store, Trainable},
-    weights::CriticWeights,
+    weights::{CriticWeights, MotionWeights},
 };
 
 /// What a stage that learns from rewards starts from.
@@ -36,6 +36,8 @@ pub(super) struct RewardTask<'a> {
     pub(super) stage: &'a ActorCriticConfig,
     /// The policy that learns.
     pub(super) policy: Policy,
+    /// What turns its codes into motion.
+    pub(super) motion: MotionWeights,
     /// An official checkpoint whose critic is the first.
     pub(super) init: Option<&'a Path>,
     /// The songs that it generates motion for.
@@ -56,6 +58,7 @@ impl<'a> RewardTask<'a> {
             run: &config.run,
             stage: &config.actor_critic,
             policy: Policy::of_stage(config, Stage::Gpt)?,
+            motion: motion_weights(config)?,
             init,
             songs,
         })
@@ -198,7 +201,7 @@ pub(super) fn learn_from_rewards<A: Trainable>(
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
-    let decoder = MotionDecoder::<A::InnerBackend>::read(config, device)?;
+    let decoder = MotionDecoder::<A::InnerBackend>::new(config, &task.motion, device);
     let rewards = reward_fn(decoder, task.stage.rule());
     let (spec, mut stage) = ActorCriticStage::<A>::new(config, task, rewards, device)?;
     run(&spec, &mut stage, device, limits, output)

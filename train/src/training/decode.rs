@@ -1,16 +1,22 @@
 //! Decoding of codes to motion, as the server does it, on the training device.
 
 use bailando::motion::{Positions, integrate_root, to_world_frame};
+use burn_flex::{Flex, FlexDevice};
 use burn_tensor::Tensor;
 use ndarray::{Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 
 use super::{
-    config::Config, error::TrainError, frozen::FrozenVqVae, stage::Stage, velocity::Decoders,
+    config::Config,
+    error::TrainError,
+    frozen::{FrozenVqVae, HALVES},
+    stage::Stage,
+    velocity::Decoders,
 };
 use crate::{
     data::FRAMES_PER_CODE,
-    nn::{self, Kernels, Parameters, numbers, values},
+    nn::{self, Codebook, DecoderNet, Kernels, Parameters, Store, numbers, values},
+    weights::MotionWeights,
 };
 
 /// Columns of positions.
@@ -18,35 +24,47 @@ const COLUMNS: usize = 72;
 /// Most pieces that are decoded at once, which bounds the memory of their activations.
 const SIDE_BY_SIDE: usize = 256;
 
-/// The decoders of a finished VQ-VAE and its root branch.
+/// Decoders of both halves and of the root's velocity, on a device.
 pub(super) struct MotionDecoder<B: Kernels> {
-    frozen: FrozenVqVae<B>,
-    /// Those of stage `velocity`; none where the lower half gives the root's columns.
-    velocity: Option<(Decoders, Parameters<B>)>,
+    codebooks: [Codebook<B>; 2],
+    halves: [DecoderNet; 2],
+    /// None where the lower half gives the root's columns.
+    root: Option<DecoderNet>,
+    parameters: Parameters<B>,
+    /// Motion columns of each half.
+    columns: [Vec<Option<usize>>; 2],
     root_columns: &'static [usize],
     device: B::Device,
 }
 
 impl<B: Kernels> MotionDecoder<B> {
+    /// Reads that of a finished VQ-VAE and its root branch.
     pub(super) fn read(config: &Config, device: &B::Device) -> Result<Self, TrainError> {
-        let velocity = if Stage::Velocity.is_part_of(config) {
-            let decoders = Decoders::trained(config)?;
-            let parameters = Parameters::from_store(&decoders.store, device);
-            Some((decoders, parameters))
-        } else {
-            None
-        };
-        Ok(Self {
-            frozen: FrozenVqVae::read(config, device)?,
-            velocity,
+        Ok(Self::new(config, &motion_weights(config)?, device))
+    }
+
+    /// Plans the decoders of some weights.
+    pub(super) fn new(config: &Config, weights: &MotionWeights, device: &B::Device) -> Self {
+        let mut store = Store::default();
+        let [upper, lower] = HALVES;
+        let [first, second] = &weights.halves;
+        let halves =
+            [DecoderNet::new(upper, first, &mut store), DecoderNet::new(lower, second, &mut store)];
+        let root = weights.root.as_ref();
+        Self {
+            root: root.map(|root| DecoderNet::new("root", root, &mut store)),
+            halves,
+            codebooks: weights.codebooks.each_ref().map(|entries| Codebook::new(entries, device)),
+            parameters: Parameters::from_store(&store, device),
+            columns: config.pose_columns(),
             root_columns: config.data.root_columns(),
             device: device.clone(),
-        })
+        }
     }
 
     /// Returns the numbers of upper and lower codes.
     pub(super) fn codes(&self) -> [usize; 2] {
-        self.frozen.codebooks.each_ref().map(|codebook| {
+        self.codebooks.each_ref().map(|codebook| {
             let [codes, _] = codebook.entries().dims();
             codes
         })
@@ -70,7 +88,7 @@ impl<B: Kernels> MotionDecoder<B> {
 
     /// Decodes vectors in place of codebook entries, one code's values after the other's.
     pub(super) fn positions_of_vectors(&self, vectors: [Vec<f32>; 2]) -> Option<Positions> {
-        let [_, channels] = self.frozen.codebooks[0].entries().dims();
+        let [_, channels] = self.codebooks[0].entries().dims();
         let embedded = vectors.map(|vectors| {
             let shape = [1, vectors.len() / channels, channels];
             numbers(vectors, shape, &self.device)
@@ -91,20 +109,13 @@ impl<B: Kernels> MotionDecoder<B> {
         let [pieces, codes, _] = embedded[0].dims();
         let frames = codes * FRAMES_PER_CODE;
         let mut columns = Array2::zeros((pieces * frames, COLUMNS + turning));
-        let halves = &self.frozen.halves;
-        for (half, (net, places)) in halves.nets.iter().zip(&halves.columns).enumerate() {
-            let fine_tuned = self.velocity.as_ref().and_then(|(decoders, parameters)| {
-                let halves = decoders.halves.as_ref()?;
-                Some((&halves[half], parameters))
-            });
-            let (decoder, parameters) =
-                fine_tuned.unwrap_or((&net.decoder, &self.frozen.parameters));
-            let decoded = decoder.forward(parameters, embedded[half].clone());
+        for ((net, places), embedded) in self.halves.iter().zip(&self.columns).zip(&embedded) {
+            let decoded = net.forward(&self.parameters, embedded.clone());
             fill(&mut columns, frames, &values(&decoded), places);
         }
-        if let Some((decoders, parameters)) = &self.velocity {
+        if let Some(root) = &self.root {
             let [_, lower] = embedded;
-            let decoded = decoders.root.forward(parameters, lower);
+            let decoded = root.forward(&self.parameters, lower);
             let places: Vec<_> = self.root_columns.iter().copied().map(Some).collect();
             fill(&mut columns, frames, &values(&decoded), &places);
         }
@@ -124,10 +135,36 @@ impl<B: Kernels> MotionDecoder<B> {
         let codes: Vec<i32> = pieces.iter().flat_map(|piece| &piece[half]).copied().collect();
         let length = codes.len();
         let codes = nn::codes(codes, [length], &self.device);
-        let entries = self.frozen.codebooks[half].lookup(codes);
+        let entries = self.codebooks[half].lookup(codes);
         let [_, channels] = entries.dims();
         entries.reshape([pieces.len(), length / pieces.len().max(1), channels])
     }
+}
+
+/// Reads the codebooks and decoders of a finished VQ-VAE, and those of its root branch.
+pub(super) fn motion_weights(config: &Config) -> Result<MotionWeights, TrainError> {
+    let frozen = FrozenVqVae::<Flex>::read(config, &FlexDevice)?;
+    let trained = match Stage::Velocity.is_part_of(config) {
+        true => Some(Decoders::trained(config)?),
+        false => None,
+    };
+    let half = |half: usize| {
+        let fine_tuned = trained
+            .as_ref()
+            .and_then(|decoders| Some(decoders.halves.as_ref()?[half].weights(&decoders.store)));
+        fine_tuned.unwrap_or_else(|| {
+            let halves = &frozen.halves;
+            halves.nets[half].decoder.weights(&halves.store)
+        })
+    };
+    Ok(MotionWeights {
+        codebooks: frozen.codebooks.each_ref().map(|codebook| {
+            let [entries, ..] = codebook.state();
+            entries
+        }),
+        halves: [half(0), half(1)],
+        root: trained.as_ref().map(|decoders| decoders.root.weights(&decoders.store)),
+    })
 }
 
 /// Copies decoded columns to their places, in pieces of `frames` rows.

@@ -7,9 +7,9 @@ use burn_flex::{Flex, FlexDevice};
 use serde_json::{Value, json};
 
 use super::{
-    calibrate::input_ranges, config::Config, error::TrainError, frozen::FrozenVqVae,
-    kept::fingerprint, policy::Policy, song_styles::read_classifier, stage::Stage,
-    suppress::suppressed_codes, velocity::Decoders,
+    calibrate::input_ranges, config::Config, decode::motion_weights, error::TrainError,
+    frozen::FrozenVqVae, kept::fingerprint, policy::Policy, song_styles::read_classifier,
+    stage::Stage, suppress::suppressed_codes,
 };
 use crate::{
     export::{Description, ExportError, write_model_directory},
@@ -164,23 +164,17 @@ pub fn trained_weights(
 }
 
 fn vqvae_weights(config: &Config) -> Result<VqVaeWeights, TrainError> {
-    let frozen = FrozenVqVae::<Flex>::read(config, &FlexDevice)?;
-    let decoders = Decoders::trained(config)?;
-    let half = |half: usize| {
-        let (net, store) = (&frozen.halves.nets[half], &frozen.halves.store);
-        let [codebook, ..] = frozen.codebooks[half].state();
-        HalfWeights {
-            encoder: net.encoder.weights(store),
-            codebook,
-            decoder: match &decoders.halves {
-                Some(halves) => halves[half].weights(&decoders.store),
-                None => net.decoder.weights(store),
-            },
-        }
+    let frozen = FrozenVqVae::<Flex>::read(config, &FlexDevice)?.halves;
+    let weights = motion_weights(config)?;
+    let missing = || TrainError::LeftOut { what: "export", flag: "root_in_pose" };
+    let half = |half: usize| HalfWeights {
+        encoder: frozen.nets[half].encoder.weights(&frozen.store),
+        codebook: weights.codebooks[half].clone(),
+        decoder: weights.halves[half].clone(),
     };
     Ok(VqVaeWeights {
         upper: half(0),
         lower: half(1),
-        root: decoders.root.weights(&decoders.store),
+        root: weights.root.clone().ok_or_else(missing)?,
     })
 }

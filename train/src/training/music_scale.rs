@@ -30,12 +30,17 @@ pub(super) struct MusicScale {
 impl MusicScale {
     /// Measures the first phase of all songs; a motion has one weight, however many songs it has.
     pub(super) fn measure(motions: &Motions<Training>, columns: usize, config: &GptConfig) -> Self {
-        let mut scale = Self { mean: vec![0.0; columns], spread: vec![1.0; columns] };
+        let mut scale = Self::plain(columns);
         if config.standardise_music {
             scale.standardise(motions);
         }
         scale.mute(|column| is_muted(config.music_columns, column));
         scale
+    }
+
+    /// The scale that leaves every column as it is.
+    pub(super) fn plain(columns: usize) -> Self {
+        Self { mean: vec![0.0; columns], spread: vec![1.0; columns] }
     }
 
     /// Adds the scale to a checkpoint.

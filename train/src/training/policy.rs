@@ -1,14 +1,15 @@
 //! The motion GPT of a finished stage, from which `actor-critic`, `adapt` and `export` start.
 
+use bailando::model::Manifest;
 use ndarray::Array2;
 
 use super::{
     checkpoint::Checkpoint,
-    config::{Config, RunConfig, TrainingConfig},
+    config::Config,
     error::TrainError,
     gpt::random,
     identity::is_finished,
-    kept::{WEIGHT, checkpoint_path, read_finished, read_kept},
+    kept::{WEIGHT, read_kept},
     manners::Manners,
     music_scale::MusicScale,
     stage::Stage,
@@ -62,25 +63,31 @@ impl Policy {
         Ok(Self { store: before.store.towards(&latest.store, kept), ..latest })
     }
 
-    /// Reads that of a finished stage in a folder beside the run.
-    pub(super) fn of_folder(
-        config: &Config,
-        run: &RunConfig,
-        stage: &'static str,
-        training: &TrainingConfig,
-    ) -> Result<Self, TrainError> {
-        let checkpoint = read_finished(run, stage, training)?;
-        let path = checkpoint_path(run, stage);
-        Self::restore(config, &checkpoint).map_err(TrainError::state(&path))
+    /// Takes that of a model directory, whose weights are for plain features.
+    pub(super) fn of_model(weights: &GptWeights, manifest: &Manifest) -> Self {
+        let mut store = Store::default();
+        Self {
+            net: GptNet::new(weights, &mut store),
+            store,
+            scale: MusicScale::plain(weights.columns()),
+            manners: Manners { styles: manifest.styles.clone(), energy: manifest.energy },
+            starts: manifest.start_codes.clone(),
+            critic: None,
+        }
     }
 
-    fn restore(config: &Config, checkpoint: &Checkpoint) -> Result<Self, String> {
+    /// The same network with a checkpoint's weights and starts.
+    pub(super) fn with_weights(self, checkpoint: &Checkpoint) -> Result<Self, String> {
+        let (store, starts) = (checkpoint.fill(WEIGHT, &self.store)?, starts(checkpoint)?);
+        Ok(Self { store, starts, ..self })
+    }
+
+    /// Takes that of a stage's checkpoint.
+    pub(super) fn restore(config: &Config, checkpoint: &Checkpoint) -> Result<Self, String> {
         let scale = MusicScale::restore(checkpoint)?;
         let mut store = Store::default();
         let weights = random(config, scale.mean.len());
         let net = config.ablation.network(&weights, &mut store);
-        let pairs = checkpoint.tensor("start_codes")?.data().as_chunks::<2>().0;
-        let pairs = pairs.iter().map(|pair| pair.map(|code| code as u32));
         let mut critic_store = Store::default();
         let critic = CriticNet::new(&first_critic(config), &mut critic_store);
         let critic_store = checkpoint.fill(WEIGHT, &critic_store).ok();
@@ -89,7 +96,7 @@ impl Policy {
             store: checkpoint.fill(WEIGHT, &store)?,
             scale,
             manners: Manners::restore(checkpoint)?,
-            starts: pairs.collect(),
+            starts: starts(checkpoint)?,
             critic: critic_store.map(|store| critic.weights(&store)),
         })
     }
@@ -126,6 +133,12 @@ impl Policy {
         weights.music = self.scale.fold(&weights.music);
         weights
     }
+}
+
+/// Reads the pairs of codes that pieces begin with.
+fn starts(checkpoint: &Checkpoint) -> Result<Vec<[u32; 2]>, String> {
+    let pairs = checkpoint.tensor("start_codes")?.data().as_chunks::<2>().0;
+    Ok(pairs.iter().map(|pair| pair.map(|code| code as u32)).collect())
 }
 
 /// Returns an untrained critic of the configured size.

@@ -298,7 +298,7 @@ pub(super) fn reward_fn<B: Kernels>(decoder: MotionDecoder<B>, rule: RewardRule)
     })
 }
 
-fn shuffled<T>(mut values: Vec<T>, random: &mut impl Rng) -> Vec<T> {
+pub(super) fn shuffled<T>(mut values: Vec<T>, random: &mut impl Rng) -> Vec<T> {
     for place in (1..values.len()).rev() {
         let other = random.next_u64() % (place as u64 + 1);
         values.swap(place, other as usize);

@@ -2,7 +2,6 @@
 
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
-use bailando::features::BEAT_COLUMN;
 use ndarray::Array2;
 use rayon::prelude::*;
 
@@ -26,20 +25,17 @@ pub struct Song {
 
 impl Song {
     /// Reads features and beats of a song. The beats are those of the data, in seconds; without
-    /// any, those of column 53 of the features at 60 rows a second (ARCHITECTURE section 7), which
-    /// may have every other beat alone, or lie beside the beats.
+    /// any, those that are heard in it.
     fn read(
         music: &MusicSource,
         (told, style): (&[f64], Option<&str>),
         library: &mut MusicLibrary,
     ) -> Result<Self, DataError> {
         let rows = library.conditioning(music, 0)?;
-        let beats = if told.is_empty() {
-            let beats = library.beats(music)?;
-            let beats = beats.column(BEAT_COLUMN);
-            beats.into_iter().map(|&beat| beat > 0.5).collect()
-        } else {
-            beats_by_frame(told, rows.nrows() * FRAMES_PER_CODE)
+        let frames = rows.nrows() * FRAMES_PER_CODE;
+        let beats = match told {
+            [] => beats_by_frame(&library.beats_s(music)?, frames),
+            told => beats_by_frame(told, frames),
         };
         Ok(Self { rows, beats, style: style.map(str::to_owned) })
     }
@@ -58,12 +54,14 @@ fn beats_by_frame(beats_s: &[f64], frames: usize) -> Vec<bool> {
     beats
 }
 
-/// Reads an audio file that a policy adapts to.
+/// Reads an audio file that a policy adapts to, with its counts so much later than the tracker has
+/// them.
 ///
 /// # Errors
 /// [`TrainError`] names what is wrong with it.
-pub fn target_song(data: &DataConfig, path: &Path) -> Result<Song, TrainError> {
-    let mut library = music_library(data, feature_cache(data)?, &Arc::default());
+pub fn target_song(data: &DataConfig, counts_late_s: f64, path: &Path) -> Result<Song, TrainError> {
+    let library = music_library(data, feature_cache(data)?, &Arc::default());
+    let mut library = library.with_counts_later(counts_late_s);
     Ok(Song::read(&MusicSource::Audio(path.to_owned()), (&[], None), &mut library)?)
 }
 

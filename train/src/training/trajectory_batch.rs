@@ -41,13 +41,6 @@ impl<A: Trainable> TrajectoryBatch<A> {
                 first,
             })
             .collect();
-        let (music, states) = inputs(&excerpts, block, device);
-        let shape = [windows.len(), moves];
-        let taken = [0, 1].map(|half| {
-            let codes =
-                excerpts.iter().flat_map(|window| &window.codes[half][window.first + 1..][..moves]);
-            nn::codes(codes.copied(), shape, device)
-        });
         let rewards = windows.iter().flat_map(|&(piece, first)| {
             let rewards = &rollout.episodes[piece].rewards;
             let of = move |code: usize| rewards[code.saturating_sub(lead)][0];
@@ -58,7 +51,31 @@ impl<A: Trainable> TrajectoryBatch<A> {
         let counts = windows.iter().flat_map(|&(_, first)| {
             (0..moves).map(move |step| f32::from(u8::from(first == 0 || step + 1 == moves)))
         });
-        let counts: Vec<f32> = counts.collect();
+        Self::of(&excerpts, block, rewards, counts.collect(), device)
+    }
+
+    /// Takes windows whose every move counts, whatever it was rewarded with.
+    pub(super) fn imitated(windows: &[Window<'_>], block: usize, device: &A::Device) -> Self {
+        let moves = windows.len() * (block - 1);
+        Self::of(windows, block, vec![0.0; moves], vec![1.0; moves], device)
+    }
+
+    /// Takes windows with reward and weight of each move.
+    fn of(
+        excerpts: &[Window<'_>],
+        block: usize,
+        rewards: Vec<f32>,
+        counts: Vec<f32>,
+        device: &A::Device,
+    ) -> Self {
+        let moves = block - 1;
+        let (music, states) = inputs(excerpts, block, device);
+        let shape = [excerpts.len(), moves];
+        let taken = [0, 1].map(|half| {
+            let codes =
+                excerpts.iter().flat_map(|window| &window.codes[half][window.first + 1..][..moves]);
+            nn::codes(codes.copied(), shape, device)
+        });
         let total: f32 = counts.iter().sum();
         let shares = counts.iter().map(|count| count / total).collect::<Vec<f32>>();
         Self {

@@ -10,7 +10,7 @@ use super::{
 use crate::{HostTensor, checkpoint::CheckpointError, checkpoint::TorchCheckpoint};
 
 /// Streams that the position table covers: music, upper and lower codes.
-const STREAMS: usize = 3;
+pub(super) const STREAMS: usize = 3;
 
 /// An affine map: `weight` is `[out, in]`, `bias` is `[out]`.
 #[derive(Clone, Debug, PartialEq)]
@@ -172,7 +172,11 @@ impl GptWeights {
     }
 }
 
-fn check_heads(source: &Source<'_>, channels: usize, heads: usize) -> Result<(), WeightError> {
+pub(super) fn check_heads(
+    source: &Source<'_>,
+    channels: usize,
+    heads: usize,
+) -> Result<(), WeightError> {
     if heads > 0 && channels.is_multiple_of(heads) {
         return Ok(());
     }

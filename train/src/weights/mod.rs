@@ -1,11 +1,16 @@
-//! The networks' weights with their roles: read from checkpoints, written into graphs. All sizes
+//! The networks' weights with their roles: read from checkpoints, written into graphs and
+//! read from these. All sizes
 //! are read off the tensors' shapes and checked against each other.
 
 mod gpt;
+mod graphs;
 mod source;
 mod vqvae;
 
+pub(crate) use source::Tensors;
+
 pub use gpt::{Block, CriticWeights, GptWeights, LayerNorm, Linear};
+pub use graphs::MotionWeights;
 pub use vqvae::{
     Convolution, DecoderLevel, DecoderWeights, EncoderLevel, EncoderWeights, HALF_JOINTS,
     HalfWeights, ResidualBlock, VqVaeWeights,

@@ -7,6 +7,32 @@ use crate::{
     checkpoint::{CheckpointError, TorchCheckpoint},
 };
 
+/// A file of named tensors.
+pub(crate) trait Tensors {
+    /// The file's path, for messages.
+    fn path(&self) -> &Path;
+
+    /// Whether a tensor of this name is there.
+    fn contains(&self, name: &str) -> bool;
+
+    /// Returns one tensor as float32.
+    fn tensor(&mut self, name: &str) -> Result<HostTensor, CheckpointError>;
+}
+
+impl Tensors for TorchCheckpoint {
+    fn path(&self) -> &Path {
+        self.path()
+    }
+
+    fn contains(&self, name: &str) -> bool {
+        self.contains(name)
+    }
+
+    fn tensor(&mut self, name: &str) -> Result<HostTensor, CheckpointError> {
+        self.tensor(name)
+    }
+}
+
 /// A size that a shape must have, or that it decides.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Size {
@@ -18,18 +44,18 @@ pub(super) enum Size {
     Any(&'static str),
 }
 
-/// Takes checked tensors out of a checkpoint.
+/// Takes checked tensors out of a file.
 pub(super) struct Source<'a> {
-    checkpoint: &'a mut TorchCheckpoint,
+    file: &'a mut dyn Tensors,
 }
 
 impl<'a> Source<'a> {
-    pub(super) fn new(checkpoint: &'a mut TorchCheckpoint) -> Self {
-        Self { checkpoint }
+    pub(super) fn new(file: &'a mut dyn Tensors) -> Self {
+        Self { file }
     }
 
     pub(super) fn path(&self) -> &Path {
-        self.checkpoint.path()
+        self.file.path()
     }
 
     /// Takes the tensor `name`, whose shape must match `shape`.
@@ -38,7 +64,7 @@ impl<'a> Source<'a> {
         name: &str,
         shape: &[Size],
     ) -> Result<HostTensor, CheckpointError> {
-        let tensor = self.checkpoint.tensor(name)?;
+        let tensor = self.file.tensor(name)?;
         let fits = tensor.shape().len() == shape.len()
             && tensor.shape().iter().zip(shape).all(|(&found, size)| match *size {
                 Size::Is(expected) => found == expected,
@@ -59,7 +85,7 @@ impl<'a> Source<'a> {
         found: &HostTensor,
     ) -> CheckpointError {
         CheckpointError::Shape {
-            path: self.checkpoint.path().to_owned(),
+            path: self.file.path().to_owned(),
             tensor: name.to_owned(),
             expected: expected.to_owned(),
             found: found.shape().to_vec(),
@@ -68,7 +94,7 @@ impl<'a> Source<'a> {
 
     /// How many of `name(0)`, `name(1)`, .. are there without a gap.
     pub(super) fn count(&self, name: impl Fn(usize) -> String) -> usize {
-        (0..).take_while(|&index| self.checkpoint.contains(&name(index))).count()
+        (0..).take_while(|&index| self.file.contains(&name(index))).count()
     }
 }
 

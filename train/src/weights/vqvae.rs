@@ -16,9 +16,9 @@ pub const HALF_JOINTS: ([usize; 15], [usize; 9]) =
 /// Kernel of every strided and transposed convolution.
 const STRIDED_KERNEL: usize = 4;
 /// Kernel of the plain and of the dilated convolutions.
-const KERNEL: usize = 3;
+pub(super) const KERNEL: usize = 3;
 /// A code of more than 256 frames (over four seconds) is no pose code.
-const MAX_LEVELS: usize = 8;
+pub(super) const MAX_LEVELS: usize = 8;
 /// Dilations grow by this factor from block to block of a stack.
 const DILATION_GROWTH: usize = 3;
 
@@ -218,9 +218,21 @@ fn decoder(
 }
 
 #[derive(Clone, Copy)]
-enum Dilations {
+pub(super) enum Dilations {
     Ascending,
     Descending,
+}
+
+impl Dilations {
+    /// Returns the dilation of the block at a place of a stack.
+    pub(super) fn of(self, place: usize, depth: usize) -> usize {
+        let exponent = match self {
+            Self::Ascending => place,
+            Self::Descending => depth - 1 - place,
+        };
+        // The depth is bounded by the tensors of the file; saturating keeps odd files harmless.
+        DILATION_GROWTH.saturating_pow(u32::try_from(exponent).unwrap_or(u32::MAX))
+    }
 }
 
 fn stack(
@@ -231,19 +243,14 @@ fn stack(
 ) -> Result<Vec<ResidualBlock>, CheckpointError> {
     let depth = source.count(|block| format!("{name}.model.{block}.model.1.weight")).max(1);
     let mut blocks = Vec::with_capacity(depth);
-    for block in 0..depth {
-        let exponent = match dilations {
-            Dilations::Ascending => block,
-            Dilations::Descending => depth - 1 - block,
-        };
-        let block = format!("{name}.model.{block}.model");
+    for place in 0..depth {
+        let block = format!("{name}.model.{place}.model");
         let shape = ConvolutionShape::new(Any("width"), Is(width), KERNEL);
         let dilated = convolution(source, &format!("{block}.1"), shape)?;
         let shape = ConvolutionShape::new(Is(width), Is(dilated.weight.dim(0)), 1);
         blocks.push(ResidualBlock {
             pointwise: convolution(source, &format!("{block}.3"), shape)?,
-            // The depth is bounded by the tensors of the file; saturating keeps odd files harmless.
-            dilation: DILATION_GROWTH.saturating_pow(u32::try_from(exponent).unwrap_or(u32::MAX)),
+            dilation: dilations.of(place, depth),
             dilated,
         });
     }
@@ -251,19 +258,19 @@ fn stack(
 }
 
 #[derive(Clone, Copy)]
-struct ConvolutionShape {
+pub(super) struct ConvolutionShape {
     outputs: Size,
     inputs: Size,
     kernel: usize,
 }
 
 impl ConvolutionShape {
-    fn new(outputs: Size, inputs: Size, kernel: usize) -> Self {
+    pub(super) fn new(outputs: Size, inputs: Size, kernel: usize) -> Self {
         Self { outputs, inputs, kernel }
     }
 }
 
-fn convolution(
+pub(super) fn convolution(
     source: &mut Source<'_>,
     name: &str,
     shape: ConvolutionShape,
@@ -274,7 +281,7 @@ fn convolution(
     Ok(Convolution { weight, bias })
 }
 
-fn transposed(
+pub(super) fn transposed(
     source: &mut Source<'_>,
     name: &str,
     inputs: usize,

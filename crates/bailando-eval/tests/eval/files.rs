@@ -91,7 +91,7 @@ fn motions_to_new_songs_are_no_pieces_of_the_reference() {
         std::fs::rename(old, new).unwrap();
     }
     let new = EvaluationOptions {
-        beats: BeatsFrom::NewSongs(songs.clone()),
+        beats: BeatsFrom::NewSongs { folder: songs.clone(), beats: None },
         ..options(&generated, &reference)
     };
     let report = evaluate(&EvaluationOptions { form: true, ..new.clone() }).unwrap();
@@ -102,6 +102,17 @@ fn motions_to_new_songs_are_no_pieces_of_the_reference() {
     std::fs::remove_file(songs.join("new1.wav")).unwrap();
     let problem = evaluate(&new).unwrap_err().to_string();
     assert!(problem.contains("no audio named new1"), "{problem}");
+    // With a file of beats no song is needed.
+    let file = folder.path().join("beats.json");
+    let told = BeatsFrom::NewSongs { folder: songs, beats: Some(file.clone()) };
+    let told = EvaluationOptions { beats: told, ..new };
+    std::fs::write(&file, r#"{"new0": [30, 60], "new1": [30, 90], "new2": [45, 60]}"#).unwrap();
+    let report = evaluate(&told).unwrap();
+    assert!(report.generated.get(Metric::BeatMargin).is_some());
+    assert_eq!(report.reference.get(Metric::BeatAlign), None);
+    std::fs::write(&file, r#"{"new0": [30, 60]}"#).unwrap();
+    let problem = evaluate(&told).unwrap_err().to_string();
+    assert!(problem.contains("new1"), "{problem}");
 }
 
 #[test]

@@ -6,8 +6,9 @@ use ndarray::Array2;
 
 use super::*;
 use crate::{
-    nn::GptNet,
+    nn::{GptNet, VqVaeSizes, random_vqvae},
     training::{gpt::random, manners::Manners, music_scale::MusicScale},
+    weights::VqVaeWeights,
 };
 
 const COLUMNS: usize = 3;
@@ -55,6 +56,18 @@ fn toy(folder: &Path) -> (Config, Policy, Vec<Song>) {
     (config, policy, [0.0, 1.0].map(song).into())
 }
 
+/// Decoders for rewards that do not look at motion.
+fn never_decoded() -> MotionWeights {
+    let sizes =
+        VqVaeSizes { half_columns: [3, 3], width: 2, embedding: 2, codes: 2, root_columns: 3 };
+    let VqVaeWeights { upper, lower, .. } = random_vqvae(sizes, 1);
+    MotionWeights {
+        codebooks: [upper.codebook, lower.codebook],
+        halves: [upper.decoder, lower.decoder],
+        root: None,
+    }
+}
+
 /// Trains the toy policy.
 fn learned(
     config: &Config,
@@ -69,6 +82,7 @@ fn learned(
         run: &config.run,
         stage: &config.actor_critic,
         policy,
+        motion: never_decoded(),
         init: None,
         songs,
     };

@@ -1,5 +1,6 @@
 //! Settings of each stage of training.
 
+use bailando::model::MAX_CANDIDATES;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -236,6 +237,10 @@ impl ActorCriticConfig {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AdaptConfig {
+    pub candidates: usize,
+    pub dances: usize,
+    pub stride: usize,
+    pub divergence_weight: f64,
     pub pieces_per_epoch: usize,
     pub codes: usize,
     pub training: TrainingConfig,
@@ -243,6 +248,15 @@ pub struct AdaptConfig {
 
 impl AdaptConfig {
     pub(super) fn check(&self) -> Result<(), String> {
-        at_least_one([("pieces_per_epoch", self.pieces_per_epoch)])
+        let Self { candidates, .. } = self;
+        if *candidates > MAX_CANDIDATES {
+            return Err(format!("candidates ({candidates}) must lie in 0..={MAX_CANDIDATES}"));
+        }
+        not_negative([("divergence_weight", self.divergence_weight)])?;
+        at_least_one([
+            ("pieces_per_epoch", self.pieces_per_epoch),
+            ("dances", self.dances),
+            ("stride", self.stride),
+        ])
     }
 }

@@ -1,0 +1,72 @@
+//! The expert of an adaptation: the served model with a choice among candidates for each phrase.
+
+use std::{collections::BTreeSet, fs, io::Write, path::Path};
+
+use bailando::engine::{Engine, EngineConfig, EngineError, GenerationOptions, GenerationRequest};
+use serde::{Deserialize, Serialize};
+
+use super::{config::AdaptConfig, error::TrainError, files::replace_file};
+
+/// Dances to a song.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct ExpertDances {
+    /// The style that the song is danced in, from a model with styles.
+    pub(super) style: Option<String>,
+    /// Upper and lower codes of each.
+    pub(super) codes: Vec<[Vec<i32>; 2]>,
+}
+
+impl ExpertDances {
+    /// Returns the pairs of codes that they begin with, each once.
+    pub(super) fn starts(&self) -> Vec<[u32; 2]> {
+        let starts = self.codes.iter().filter_map(|[upper, lower]| {
+            Some([*upper.first()?, *lower.first()?].map(|code| code as u32))
+        });
+        let starts: BTreeSet<[u32; 2]> = starts.collect();
+        starts.into_iter().collect()
+    }
+}
+
+/// Makes the dances to the song at `path` with the model in `model_dir`, or reads those that an
+/// interrupted adaptation has left in `folder`. Their seeds follow `seed`.
+///
+/// # Errors
+/// [`TrainError`]: the song cannot be danced to, or a file cannot be read or written.
+pub(super) fn expert_dances(
+    settings: &AdaptConfig,
+    (model_dir, path, folder): (&Path, &Path, &Path),
+    seed: u64,
+    output: &mut impl Write,
+) -> Result<ExpertDances, TrainError> {
+    let AdaptConfig { dances, candidates, .. } = settings;
+    let file = folder.join(format!("dances-{dances}-of-{candidates}-candidates-seed-{seed}.json"));
+    if file.exists() {
+        let text = fs::read(&file).map_err(TrainError::file(&file))?;
+        let known = serde_json::from_slice(&text);
+        return known.map_err(|error| TrainError::state(&file)(error.to_string()));
+    }
+    let song = fs::read(path).map_err(TrainError::file(path))?;
+    let failed =
+        |error: EngineError| TrainError::Data { path: path.to_owned(), message: error.to_string() };
+    let engine = Engine::open(&EngineConfig::new(model_dir)).map_err(failed)?;
+    let mut made = ExpertDances { style: None, codes: Vec::with_capacity(*dances) };
+    for dance in 0..*dances as u64 {
+        let options = GenerationOptions {
+            seed: Some(seed + dance),
+            candidates: Some(*candidates),
+            ..GenerationOptions::default()
+        };
+        let request = GenerationRequest::audio(song.clone(), options);
+        let found = engine.generate(request).map_err(failed)?;
+        let half = |codes: Vec<u32>| codes.into_iter().map(|code| code as i32).collect();
+        made.codes.push([half(found.codes.upper), half(found.codes.lower)]);
+        made.style = found.style;
+        // Progress that cannot be shown is no reason to stop.
+        let _ = writeln!(output, "dance {}/{dances}", dance + 1);
+    }
+    fs::create_dir_all(folder).map_err(TrainError::file(folder))?;
+    let text =
+        serde_json::to_vec(&made).map_err(|error| TrainError::state(&file)(error.to_string()))?;
+    replace_file(&file, &text).map_err(TrainError::file(&file))?;
+    Ok(made)
+}
