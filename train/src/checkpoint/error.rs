@@ -83,7 +83,7 @@ pub enum Problem {
     Amplified(usize),
     #[error("holds {0} values, expected floating point")]
     NotFloat(&'static str),
-    #[error("this is no ONNX graph of a model directory: {0}")]
+    #[error("it is no graph of a model directory, or damaged: {0}")]
     Onnx(String),
     #[error("holds values that are not finite")]
     NotFinite,

@@ -122,6 +122,10 @@ fn adapt_policy(
     output: &mut impl Write,
 ) -> anyhow::Result<()> {
     let mut config = arguments.stage.settings.read()?;
+    anyhow::ensure!(
+        arguments.stage.init.is_none() || config.adapt.candidates == 0,
+        "adapt has no --init where the best of some candidates is imitated: there is no critic"
+    );
     let model = match &arguments.model {
         Some(model) => Some(ServedModel::open(model)?),
         None if config.adapt.candidates > 0 => Some(ServedModel::of_run(&config)?),

@@ -84,7 +84,11 @@ pub fn write_with_gpt(
                 std::fs::read(&path).map_err(|source| ExportError::Read { path, source })?
             }
         };
-        *entry = staging.write(name, &bytes)?;
+        let written = staging.write(name, &bytes)?;
+        if name != GPT_FILE && written != *entry {
+            return Err(ExportError::Changed(root.join(name)));
+        }
+        *entry = written;
     }
     publish(staging, manifest)
 }

@@ -58,7 +58,9 @@ impl GraphWeights {
         let ranges = self.stored.iter().filter_map(|(name, step)| {
             let matrix = name.strip_suffix(".step")?;
             let &[step] = &floats(step).ok()?[..] else { return None };
-            let zero = self.stored.get(&format!("{matrix}.zero"))?.raw_data.first()?;
+            let of = |part: &str| self.stored.get(&format!("{matrix}.{part}"));
+            // A product without a measured range has a step as well, but no centres.
+            let (zero, _) = (of("zero")?.raw_data.first()?, of("centres")?);
             Some((matrix.to_owned(), quantise::range(step, *zero)))
         });
         ranges.collect()

@@ -11,6 +11,7 @@ use bailando::model::{Manifest, file_sha256};
 
 use super::{
     actor_critic::{RewardTask, learn_from_rewards},
+    checkpoint::Checkpoint,
     config::{ActorCriticConfig, Config, RunConfig},
     decode::motion_weights,
     device::on_device,
@@ -85,17 +86,19 @@ impl Adaptation {
         output: &mut impl Write,
     ) -> Result<Outcome, TrainError> {
         let (settings, seed) = (&config.adapt, config.run.seed);
-        let places = (model.root(), self.path.as_path(), self.folder.as_path());
+        let identity =
+            Identity::of_settings(config, concerns_imitation).with("model", model.sha256());
+        self.check(config, &identity)?;
+        let places = (model, self.path.as_path(), self.folder.as_path());
         let dances = expert_dances(settings, places, seed, output)?;
         // From any other code it would first have to find one of the dances.
         let policy = Policy { starts: dances.starts(), ..model.policy() };
         let (run, temperature) = (self.run(config), model.temperature());
         let task = ImitationTask {
             name: STAGE,
-            identity: Identity::of_settings(config, concerns_imitation)
-                .with("model", model.sha256()),
+            identity,
             run: &run,
-            temperature,
+            temperature: f64::from(temperature),
             music: policy.conditioned(&self.song.rows, dances.style.as_deref()),
             policy,
             dances: dances.codes,
@@ -103,6 +106,21 @@ impl Adaptation {
         on_device!(config.run.device.as_str(), |A, device| {
             imitate::<A>(config, task, &device, limits, output)
         })
+    }
+
+    /// Refuses a song that is too short, and other settings than an earlier adaptation had, before
+    /// minutes are spent on dances.
+    fn check(&self, config: &Config, identity: &Identity) -> Result<(), TrainError> {
+        let (rows, least) = (self.song.rows.nrows(), config.gpt.block + 1);
+        if rows < least {
+            let message = format!("the song has {rows} rows of music, a window needs {least}");
+            return Err(TrainError::Data { path: self.path.clone(), message });
+        }
+        let path = checkpoint_path(&self.run(config), STAGE);
+        match Checkpoint::read_facts(&path)? {
+            Some(facts) => identity.check(&facts).map_err(TrainError::state(&path)),
+            None => Ok(()),
+        }
     }
 
     /// Learns from rewards, as `actor-critic` does.
@@ -158,8 +176,9 @@ impl Adaptation {
 
 /// Whether an imitation depends on a setting.
 fn concerns_imitation(name: &str) -> bool {
-    let length = ["adapt.training.steps", "adapt.training.epochs"];
-    name == "run.seed" || name.starts_with("adapt.") && !length.contains(&name)
+    let others =
+        ["adapt.training.steps", "adapt.training.epochs", "adapt.pieces_per_epoch", "adapt.codes"];
+    name == "run.seed" || name.starts_with("adapt.") && !others.contains(&name)
 }
 
 /// Adapts a policy to a song: by imitating its own dances to it, the best of some candidates, or by

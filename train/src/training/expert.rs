@@ -2,10 +2,13 @@
 
 use std::{collections::BTreeSet, fs, io::Write, path::Path};
 
-use bailando::engine::{Engine, EngineConfig, EngineError, GenerationOptions, GenerationRequest};
+use bailando::{
+    engine::{Engine, EngineConfig, EngineError, GenerationOptions, GenerationRequest, MAX_SEED},
+    model::MAX_CANDIDATES,
+};
 use serde::{Deserialize, Serialize};
 
-use super::{config::AdaptConfig, error::TrainError, files::replace_file};
+use super::{config::AdaptConfig, error::TrainError, files::replace_file, served::ServedModel};
 
 /// Dances to a song.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
@@ -27,14 +30,14 @@ impl ExpertDances {
     }
 }
 
-/// Makes the dances to the song at `path` with the model in `model_dir`, or reads those that an
+/// Makes the dances to the song at `path` with `model`, or reads those that an
 /// interrupted adaptation has left in `folder`. Their seeds follow `seed`.
 ///
 /// # Errors
 /// [`TrainError`]: the song cannot be danced to, or a file cannot be read or written.
 pub(super) fn expert_dances(
     settings: &AdaptConfig,
-    (model_dir, path, folder): (&Path, &Path, &Path),
+    (model, path, folder): (&ServedModel, &Path, &Path),
     seed: u64,
     output: &mut impl Write,
 ) -> Result<ExpertDances, TrainError> {
@@ -46,18 +49,24 @@ pub(super) fn expert_dances(
         return known.map_err(|error| TrainError::state(&file)(error.to_string()));
     }
     let song = fs::read(path).map_err(TrainError::file(path))?;
-    let failed =
-        |error: EngineError| TrainError::Data { path: path.to_owned(), message: error.to_string() };
-    let engine = Engine::open(&EngineConfig::new(model_dir)).map_err(failed)?;
+    let failed = |path: &Path| {
+        let path = path.to_owned();
+        move |error: EngineError| TrainError::Data { path, message: error.to_string() }
+    };
+    // Guidance takes two rows of the batch for each candidate.
+    let config = EngineConfig { batch: 2 * MAX_CANDIDATES, ..EngineConfig::new(model.root()) };
+    let engine = Engine::open(&config).map_err(failed(model.root()))?;
     let mut made = ExpertDances { style: None, codes: Vec::with_capacity(*dances) };
     for dance in 0..*dances as u64 {
         let options = GenerationOptions {
-            seed: Some(seed + dance),
+            seed: Some(seed.wrapping_add(dance) % MAX_SEED),
+            // There is nothing to choose among where the likeliest code is taken.
+            temperature: Some(model.temperature()),
             candidates: Some(*candidates),
             ..GenerationOptions::default()
         };
         let request = GenerationRequest::audio(song.clone(), options);
-        let found = engine.generate(request).map_err(failed)?;
+        let found = engine.generate(request).map_err(failed(path))?;
         let half = |codes: Vec<u32>| codes.into_iter().map(|code| code as i32).collect();
         made.codes.push([half(found.codes.upper), half(found.codes.lower)]);
         made.style = found.style;

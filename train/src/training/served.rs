@@ -37,12 +37,33 @@ impl ServedModel {
         })?;
         let graph = |name: &str| GraphWeights::open(&directory.root().join(name));
         let mut gpt = graph(GPT_FILE)?;
-        Ok(Self {
+        let model = Self {
             ranges: gpt.input_ranges(),
             gpt: GptWeights::from_graph(&mut gpt, directory.manifest().gpt.heads)?,
             motion: MotionWeights::from_graph(&mut graph(DECODER_FILE)?)?,
             directory,
-        })
+        };
+        match model.fits() {
+            true => Ok(model),
+            false => Err(TrainError::Config {
+                path: path.to_owned(),
+                message: "the graphs have other sizes than the manifest says".into(),
+            }),
+        }
+    }
+
+    /// Whether the weights have the sizes of the manifest.
+    fn fits(&self) -> bool {
+        let (gpt, manifest) = (&self.gpt, self.manifest());
+        let codes = [manifest.vocabulary.upper, manifest.vocabulary.lower];
+        let embeddings = [&gpt.upper_embedding, &gpt.lower_embedding];
+        let root = self.motion.root.as_ref().map(|root| root.output.weight.dim(0));
+        embeddings.map(|table| table.dim(0)) == codes
+            && self.motion.codebooks.each_ref().map(|entries| entries.dim(0)) == codes
+            && gpt.columns() == manifest.conditioning_columns()
+            && (gpt.block(), gpt.channels()) == (manifest.gpt.block, manifest.gpt.channels)
+            && gpt.blocks.len() == manifest.gpt.layers
+            && root == Some(manifest.motion_frame.columns(1))
     }
 
     /// Writes the model of a finished run into its folder, and reads it.
@@ -50,6 +71,7 @@ impl ServedModel {
     /// # Errors
     /// As `export`, and as [`ServedModel::open`].
     pub fn of_run(config: &Config) -> Result<Self, TrainError> {
+        config.ablation.refuse("adapt")?;
         let folder = config.run.folder.join("adapted").join("base");
         export::write(config, &folder, Policy::latest(config)?, true, [])?;
         Self::open(&folder)
@@ -102,9 +124,9 @@ impl ServedModel {
     }
 
     /// Returns the temperature that the model is served at; 1 where it takes the likeliest code.
-    pub(super) fn temperature(&self) -> f64 {
+    pub(super) fn temperature(&self) -> f32 {
         let temperature = self.manifest().sampling.temperature;
-        if temperature > 0.0 { f64::from(temperature) } else { 1.0 }
+        if temperature > 0.0 { temperature } else { 1.0 }
     }
 
     pub(super) fn manifest(&self) -> &Manifest {

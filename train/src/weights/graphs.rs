@@ -1,10 +1,11 @@
 //! Weights out of the graphs of a model directory, by the names that `onnx` gives them.
 
 use super::{
-    Block, DecoderLevel, DecoderWeights, GptWeights, LayerNorm, Linear, ResidualBlock, WeightError,
+    Block, DecoderLevel, DecoderWeights, GptWeights, HALF_JOINTS, LayerNorm, Linear, ResidualBlock,
+    WeightError,
     gpt::{STREAMS, check_heads},
     source::{
-        Size::{self, Any, Is},
+        Size::{self, Any, Between, Is},
         Source, Tensors,
     },
     vqvae::{ConvolutionShape, Dilations, KERNEL, MAX_LEVELS, convolution, transposed},
@@ -31,8 +32,12 @@ impl MotionWeights {
         };
         let codebooks = [codebook("upper")?, codebook("lower")?];
         let [upper, lower] = codebooks.each_ref().map(|codebook| codebook.dim(1));
-        let halves = [decoder(&mut source, "upper", upper)?, decoder(&mut source, "lower", lower)?];
-        let root = Some(decoder(&mut source, "root", lower)?);
+        let [above, below] = [HALF_JOINTS.0.len(), HALF_JOINTS.1.len()];
+        let halves = [
+            decoder(&mut source, "upper", upper, Is(3 * above))?,
+            decoder(&mut source, "lower", lower, Is(3 * below))?,
+        ];
+        let root = Some(decoder(&mut source, "root", lower, Between(3, 4))?);
         Ok(Self { codebooks, halves, root })
     }
 }
@@ -127,6 +132,7 @@ fn decoder(
     source: &mut Source<'_>,
     name: &str,
     embedding: usize,
+    columns: Size,
 ) -> Result<DecoderWeights, CheckpointError> {
     let shape = ConvolutionShape::new(Any("width"), Is(embedding), KERNEL);
     let input = convolution(source, &format!("{name}.input"), shape)?;
@@ -140,7 +146,7 @@ fn decoder(
         width = transposed.weight.dim(1);
         levels.push(DecoderLevel { stack, transposed });
     }
-    let shape = ConvolutionShape::new(Any("columns"), Is(width), KERNEL);
+    let shape = ConvolutionShape::new(columns, Is(width), KERNEL);
     let output = convolution(source, &format!("{name}.output"), shape)?;
     Ok(DecoderWeights { input, levels, output })
 }
@@ -225,6 +231,8 @@ mod tests {
         let mut again = self::read(&again);
         let found = GptWeights::from_graph(&mut again, 2).unwrap();
         assert_eq!(again.input_ranges(), read.input_ranges());
+        let unknown = gpt_graph(&weights, WeightStorage::Int8, &InputRanges::default()).unwrap();
+        assert_eq!(self::read(&unknown).input_ranges(), InputRanges::default());
         for (found, written) in found.blocks.iter().zip(&weights.blocks) {
             let pairs = found.mlp_in.weight.data().iter().zip(written.mlp_in.weight.data());
             pairs.for_each(|(found, written)| assert!((found - written).abs() < 1e-6));
@@ -239,6 +247,9 @@ mod tests {
         let error = GptWeights::from_graph(&mut read(&graph), 3).unwrap_err();
         assert!(error.to_string().contains("8 channels cannot be divided among 3 heads"));
         let error = GraphWeights::from_bytes(Path::new("x.onnx"), b"\x08\x01\xff").unwrap_err();
-        assert!(error.to_string().starts_with("x.onnx: this is no ONNX graph"), "{error}");
+        assert!(
+            error.to_string().starts_with("x.onnx: it is no graph of a model directory"),
+            "{error}"
+        );
     }
 }
