@@ -192,8 +192,8 @@ pub(super) struct StageArguments {
     #[command(flatten)]
     pub(super) settings: SettingsArguments,
 
-    /// Official checkpoint to start from (vqvae, gpt; actor-critic takes its critic, and adapt where
-    /// it learns from rewards). gpt also takes a run's checkpoint.safetensors
+    /// Official checkpoint to start from (vqvae, gpt; actor-critic takes its critic, adapt where it
+    /// learns from rewards). gpt also takes a run's checkpoint.safetensors
     #[arg(long, value_name = "FILE.pt")]
     pub(super) init: Option<PathBuf>,
 
