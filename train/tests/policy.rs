@@ -195,7 +195,7 @@ fn only_policy_and_critic_move(config: &Config) {
 fn adapts(config: &Config, folder: &Path) {
     let path = folder.join("song.wav");
     fs::write(&path, b"only its hash matters here").unwrap();
-    let adaptation = Adaptation::new(config, &path, song(0.4), None).unwrap();
+    let adaptation = Adaptation::new(config, vec![(path.clone(), song(0.4))], None).unwrap();
     let run = |limits| adapt(config, &adaptation, None, limits, &mut Vec::new()).unwrap();
     assert_eq!(run(steps(2)), Outcome::Paused);
     let out = folder.join("adapted");
@@ -206,7 +206,7 @@ fn adapts(config: &Config, folder: &Path) {
     // The same bytes under another name resume.
     let other = folder.join("renamed.wav");
     fs::copy(&path, &other).unwrap();
-    let renamed = Adaptation::new(config, &other, song(0.4), None).unwrap();
+    let renamed = Adaptation::new(config, vec![(other, song(0.4))], None).unwrap();
     assert_eq!(renamed.folder, adaptation.folder);
     assert_eq!(run(Limits::default()), Outcome::Finished);
     assert_eq!(column(&adaptation.folder.join("adapt"), 0).len(), 6);
@@ -234,7 +234,10 @@ fn adapts_a_model(config: &Config, folder: &Path) {
     assert_eq!((other.gpt.block, other.gpt.channels), (config.gpt.block, config.gpt.channels));
     assert_eq!(other.gpt.base_layers, config.gpt.base_layers);
     assert_eq!(other.data.frame, config.data.frame);
-    let adaptation = Adaptation::new(&other, &path, song(0.4), Some(model)).unwrap();
+    let second = folder.join("second.wav");
+    fs::write(&second, b"another").unwrap();
+    let songs = vec![(path, song(0.4)), (second, song(0.9))];
+    let adaptation = Adaptation::new(&other, songs, Some(model)).unwrap();
     let run = |limits| adapt(&other, &adaptation, None, limits, &mut Vec::new()).unwrap();
     assert_eq!(run(steps(1)), Outcome::Paused);
     assert_eq!(run(Limits::default()), Outcome::Finished);
@@ -245,7 +248,7 @@ fn adapts_a_model(config: &Config, folder: &Path) {
         directory.gpt(1).unwrap();
         directory.manifest().clone()
     });
-    assert_eq!(after.training["adapted_to"], "song.wav");
+    assert_eq!(after.training["adapted_to"], serde_json::json!(["song.wav", "second.wav"]));
     assert_eq!(after.training["checkpoints"], before.training["checkpoints"]);
     for (name, entry) in &before.files {
         assert_eq!(after.files[name] == *entry, name != "gpt.onnx", "{name}");

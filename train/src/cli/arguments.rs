@@ -179,6 +179,11 @@ pub(super) struct WholeArguments {
     #[command(flatten)]
     pub(super) run: RunArguments,
 
+    /// Model directory that all stages but actor-critic start from; codes and styles that it has not
+    /// are added
+    #[arg(long, value_name = "DIR")]
+    pub(super) init: Option<PathBuf>,
+
     /// Write a checkpoint and stop after this many seconds, all stages together; the same command
     /// resumes
     #[arg(long, value_name = "S")]
@@ -192,9 +197,10 @@ pub(super) struct StageArguments {
     #[command(flatten)]
     pub(super) settings: SettingsArguments,
 
-    /// Official checkpoint to start from (vqvae, gpt; actor-critic takes its critic, adapt where it
-    /// learns from rewards). gpt also takes a run's checkpoint.safetensors
-    #[arg(long, value_name = "FILE.pt")]
+    /// What to start from: a model directory (vqvae, velocity, gpt) or an official checkpoint (vqvae,
+    /// gpt; actor-critic takes its critic, adapt where it learns from rewards). gpt also takes a
+    /// run's checkpoint.safetensors
+    #[arg(long, value_name = "DIR|FILE.pt")]
     pub(super) init: Option<PathBuf>,
 
     /// Write a checkpoint and stop after this many seconds; the same command resumes
@@ -225,12 +231,12 @@ pub(super) struct GenerateArguments {
     pub(super) seed: u64,
 }
 
-/// Adapt a model to one song, for which no motion is needed
+/// Adapt a model to a song or several, for which no motion is needed
 ///
-/// By the settings it imitates its own dances to the song, the best of some candidates for each
+/// By the settings it imitates its own dances to the songs, the best of some candidates for each
 /// phrase, or learns from their rewards. Starts from a model directory, else from the finished
 /// actor-critic of the run, else from its gpt. Resumes from its last checkpoint, which is found by
-/// the content of song and model.
+/// the content of songs and model.
 #[derive(Args, Debug)]
 #[command(after_help = "Example: bailando-train adapt train/presets/default.toml \\
   --model models/default --song song.mp3 --out models/song")]
@@ -238,9 +244,10 @@ pub(super) struct AdaptArguments {
     #[command(flatten)]
     pub(super) stage: StageArguments,
 
-    /// The song: any audio file that the server takes
-    #[arg(long, value_name = "FILE")]
-    pub(super) song: PathBuf,
+    /// The song: any audio file that the server takes. Given several times, the model is adapted to
+    /// all of them
+    #[arg(long = "song", value_name = "FILE", required = true)]
+    pub(super) songs: Vec<PathBuf>,
 
     /// Model directory to start from: what the settings say of sizes, features and counts is the
     /// model's then [default: the run of the settings]

@@ -27,8 +27,8 @@ use crate::{
     music_gap::music_gap,
     training::{
         AblationConfig, Adaptation, Limits, MotionSet, Outcome, ServedModel, Stage, StopFlag,
-        adapt, export, export_adapted, generate_test_motions, learn_styles, run_all, target_song,
-        train,
+        TrainError, adapt, export, export_adapted, generate_test_motions, learn_styles, run_all,
+        target_song, train,
     },
     trial::try_dance,
 };
@@ -106,9 +106,18 @@ fn train_stage(
     output: &mut impl Write,
 ) -> anyhow::Result<()> {
     let config = arguments.settings.read()?;
+    let (file, directory) = match &arguments.init {
+        Some(path) => (!path.is_dir(), path.is_dir()),
+        None => (false, false),
+    };
     anyhow::ensure!(
-        arguments.init.is_none() || stage != Stage::Velocity,
-        "velocity has no --init: it starts from the VQ-VAE of the run"
+        !(file && stage == Stage::Velocity),
+        "velocity takes no file for --init: it starts from the VQ-VAE of the run, or with the root's \
+         decoder of a model directory"
+    );
+    anyhow::ensure!(
+        !(directory && stage == Stage::ActorCritic),
+        "actor-critic takes no directory for --init: it starts from the GPT of the run"
     );
     let set = MotionSet::read(&config, stage.load(), output)?;
     let (init, limits) = (arguments.init.as_deref(), arguments.limits(stop));
@@ -136,8 +145,11 @@ fn adapt_policy(
         config = model.settings(config);
         counts_late_s = model.counts_late_s();
     }
-    let song = target_song(&config.data, counts_late_s, &arguments.song)?;
-    let adaptation = Adaptation::new(&config, &arguments.song, song, model)?;
+    let songs = arguments.songs.iter().map(|path| {
+        let song = target_song(&config.data, counts_late_s, path)?;
+        Ok::<_, TrainError>((path.clone(), song))
+    });
+    let adaptation = Adaptation::new(&config, songs.collect::<Result<_, _>>()?, model)?;
     let (init, limits) = (arguments.stage.init.as_deref(), arguments.stage.limits(stop));
     let outcome = adapt(&config, &adaptation, init, limits, output)?;
     report_outcome(outcome, output)?;
@@ -188,7 +200,11 @@ fn train_all(
 ) -> anyhow::Result<()> {
     let config = arguments.run.settings.read()?;
     let limits = Limits { seconds: arguments.max_seconds, steps: None, stop };
-    match run_all(&config, arguments.run.force, limits, output)? {
+    let init = arguments.init.as_deref();
+    if let Some(path) = init {
+        anyhow::ensure!(path.is_dir(), "--init {}: no such model directory", path.display());
+    }
+    match run_all(&config, arguments.run.force, init, limits, output)? {
         Outcome::Finished if config.ablation == AblationConfig::default() => {
             try_it(&config.export.folder, output)?;
         }

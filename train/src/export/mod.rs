@@ -25,6 +25,9 @@ pub(crate) const GPT_FILE: &str = "gpt.onnx";
 /// The graph that turns codes into motion.
 pub(crate) const DECODER_FILE: &str = "decoder.onnx";
 
+/// The graph that turns motion into codes.
+pub(crate) const ENCODER_FILE: &str = "encoder.onnx";
+
 /// Writes a model directory at `out`, checked by loading it before it takes its place.
 ///
 /// 8-bit weights take the ranges of their inputs from `ranges`; without one they find it at run
@@ -48,7 +51,7 @@ pub fn write_model_directory(
     let graphs = [
         (GPT_FILE, gpt_graph(gpt, description.weights, ranges)?),
         (DECODER_FILE, decoder_graph(vqvae, description.weights)?),
-        ("encoder.onnx", encoder_graph(vqvae, description.weights)?),
+        (ENCODER_FILE, encoder_graph(vqvae, description.weights)?),
     ];
     for (name, bytes) in graphs {
         let entry = staging.write(name, &bytes)?;

@@ -8,6 +8,8 @@ use crate::HostTensor;
 
 /// Spread, times `1 / sqrt(channels)`, of the noise on repeated vectors.
 const COPY_NOISE: f64 = 0.01;
+/// The count of an entry that nothing was assigned to.
+const NEVER_USED: f32 = 1e-6;
 
 /// Entries, and the moving averages that they are the quotient of.
 #[derive(Clone, Debug)]
@@ -23,6 +25,16 @@ impl<B: Backend> Codebook<B> {
     #[must_use]
     pub fn new(entries: &HostTensor, device: &B::Device) -> Self {
         Self::fresh(loaded(entries, device))
+    }
+
+    /// Takes entries of which only the first `known` were learned: a vector of the first batch
+    /// replaces each of the others, if any are ever replaced.
+    #[must_use]
+    pub fn begun(entries: &HostTensor, known: usize, device: &B::Device) -> Self {
+        let counts = (0..entries.dim(0)).map(|row| if row < known { 1.0 } else { NEVER_USED });
+        let counts = numbers(counts.collect(), [entries.dim(0), 1], device);
+        let entries = loaded(entries, device);
+        Self { sums: entries.clone() * counts.clone(), counts, entries, device: device.clone() }
     }
 
     fn fresh(entries: Tensor<B, 2>) -> Self {

@@ -1,5 +1,5 @@
-//! Stage `adapt`, "choreograph in the wild" (paper section 3.3): the policy learns further for one
-//! song, for which no motion is needed.
+//! Stage `adapt`, "choreograph in the wild" (paper section 3.3): the policy learns further for songs
+//! that no motion is needed for.
 
 use std::{
     fs::File,
@@ -8,6 +8,7 @@ use std::{
 };
 
 use bailando::model::{Manifest, file_sha256};
+use serde_json::Value;
 
 use super::{
     actor_critic::{RewardTask, learn_from_rewards},
@@ -16,10 +17,10 @@ use super::{
     decode::motion_weights,
     device::on_device,
     error::TrainError,
-    expert::expert_dances,
+    expert::{ExpertDances, expert_dances},
     export,
     identity::{Identity, concerns},
-    imitate::{ImitationTask, imitate},
+    imitate::{ImitatedSong, ImitationTask, imitate},
     kept::{checkpoint_path, fingerprint, read_finished},
     policy::Policy,
     runner::{Limits, Outcome},
@@ -27,57 +28,81 @@ use super::{
     song::Song,
     stage::Stage,
 };
-use crate::weights::MotionWeights;
+use crate::{sha256, weights::MotionWeights};
 
 const STAGE: &str = "adapt";
 /// Digits of the song's hash in its folder's name.
 const DIGITS: usize = 16;
 
-/// A song to adapt to, the model to start from, and where the stage's files are.
+/// Songs to adapt to, the model to start from, and where the stage's files are.
 pub struct Adaptation {
-    /// The song's features and beats.
-    song: Song,
+    /// Features and beats of each.
+    songs: Vec<Song>,
+    files: Vec<SongFile>,
     /// The model directory to start from; none starts from the run.
     model: Option<ServedModel>,
-    /// `run.folder/adapted/<hash of the audio file and the model>`: the same file resumes, under
-    /// any name.
+    /// `run.folder/adapted/<hash of the audio files and the model>`: the same files resume, under
+    /// any names.
     pub folder: PathBuf,
-    /// The audio file.
+}
+
+/// An audio file, and the beginning of its hash.
+struct SongFile {
     path: PathBuf,
+    hash: String,
+}
+
+impl SongFile {
+    fn open(path: PathBuf) -> Result<Self, TrainError> {
+        let hash = File::open(&path).and_then(|mut file| file_sha256(&mut file));
+        let hash = beginning(&hash.map_err(TrainError::file(&path))?);
+        Ok(Self { path, hash })
+    }
+}
+
+/// What is enough of a hash for a name.
+fn beginning(hash: &str) -> String {
+    hash.chars().take(DIGITS).collect()
 }
 
 impl Adaptation {
-    /// Adapts `model`, else the run of `config`, to the audio file `path`, whose features are
-    /// `song`.
+    /// Adapts `model`, else the run of `config`, to audio files and what their features are.
     ///
     /// # Errors
-    /// [`TrainError::File`] if it cannot be read.
+    /// [`TrainError::File`] if one cannot be read.
     pub fn new(
         config: &Config,
-        path: &Path,
-        song: Song,
+        songs: Vec<(PathBuf, Song)>,
         model: Option<ServedModel>,
     ) -> Result<Self, TrainError> {
-        let hash = File::open(path).and_then(|mut file| file_sha256(&mut file));
-        let hash = hash.map_err(TrainError::file(path))?;
-        let digits = |hash: &str| hash.chars().take(DIGITS).collect::<String>();
-        let mut place = digits(&hash);
+        let (paths, songs): (Vec<_>, Vec<_>) = songs.into_iter().unzip();
+        let files: Vec<_> = paths.into_iter().map(SongFile::open).collect::<Result<_, _>>()?;
+        let hashes: Vec<&str> = files.iter().map(|file| file.hash.as_str()).collect();
+        let mut place = match hashes[..] {
+            [one] => one.to_owned(),
+            _ => beginning(&sha256(hashes.join(" ").as_bytes())),
+        };
         if let Some(model) = &model {
-            place = format!("{place}-{}", digits(model.sha256()));
+            place = format!("{place}-{}", beginning(model.sha256()));
         }
-        Ok(Self {
-            song,
-            model,
-            folder: config.run.folder.join("adapted").join(place),
-            path: path.to_owned(),
-        })
+        let folder = config.run.folder.join("adapted").join(place);
+        Ok(Self { songs, files, model, folder })
+    }
+
+    /// Returns the name of the song, or of each.
+    fn names(&self) -> Value {
+        let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into();
+        match &self.files[..] {
+            [one] => Value::String(name(&one.path)),
+            all => all.iter().map(|song| Value::String(name(&song.path))).collect(),
+        }
     }
 
     fn run(&self, config: &Config) -> RunConfig {
         RunConfig { folder: self.folder.clone(), ..config.run.clone() }
     }
 
-    /// Imitates the model's own dances to the song, the best of some candidates.
+    /// Imitates the model's own dances to the songs, the best of some candidates.
     fn imitate(
         &self,
         config: &Config,
@@ -89,19 +114,25 @@ impl Adaptation {
         let identity =
             Identity::of_settings(config, concerns_imitation).with("model", model.sha256());
         self.check(config, &identity)?;
-        let places = (model, self.path.as_path(), self.folder.as_path());
-        let dances = expert_dances(settings, places, seed, output)?;
+        let mut dances = Vec::with_capacity(self.files.len());
+        for SongFile { path, hash } in &self.files {
+            let place = (model, self.folder.as_path());
+            dances.push(expert_dances(settings, place, (path, hash), seed, output)?);
+        }
         // From any other code it would first have to find one of the dances.
-        let policy = Policy { starts: dances.starts(), ..model.policy() };
+        let policy = Policy { starts: ExpertDances::starts(&dances), ..model.policy() };
         let (run, temperature) = (self.run(config), model.temperature());
+        let songs = self.songs.iter().zip(dances).map(|(song, dances)| ImitatedSong {
+            music: policy.conditioned(&song.rows, dances.style.as_deref()),
+            dances: dances.codes,
+        });
         let task = ImitationTask {
             name: STAGE,
             identity,
             run: &run,
             temperature: f64::from(temperature),
-            music: policy.conditioned(&self.song.rows, dances.style.as_deref()),
+            songs: songs.collect(),
             policy,
-            dances: dances.codes,
         };
         on_device!(config.run.device.as_str(), |A, device| {
             imitate::<A>(config, task, &device, limits, output)
@@ -111,10 +142,13 @@ impl Adaptation {
     /// Refuses a song that is too short, and other settings than an earlier adaptation had, before
     /// minutes are spent on dances.
     fn check(&self, config: &Config, identity: &Identity) -> Result<(), TrainError> {
-        let (rows, least) = (self.song.rows.nrows(), config.gpt.block + 1);
-        if rows < least {
-            let message = format!("the song has {rows} rows of music, a window needs {least}");
-            return Err(TrainError::Data { path: self.path.clone(), message });
+        let least = config.gpt.block + 1;
+        for (song, SongFile { path, .. }) in self.songs.iter().zip(&self.files) {
+            let rows = song.rows.nrows();
+            if rows < least {
+                let message = format!("the song has {rows} rows of music, a window needs {least}");
+                return Err(TrainError::Data { path: path.clone(), message });
+            }
         }
         let path = checkpoint_path(&self.run(config), STAGE);
         match Checkpoint::read_facts(&path)? {
@@ -149,7 +183,7 @@ impl Adaptation {
             policy,
             motion,
             init,
-            songs: std::slice::from_ref(&self.song),
+            songs: &self.songs,
         };
         on_device!(config.run.device.as_str(), |A, device| {
             learn_from_rewards::<A>(config, task, &device, limits, output)
@@ -181,7 +215,7 @@ fn concerns_imitation(name: &str) -> bool {
     name == "run.seed" || name.starts_with("adapt.") && !others.contains(&name)
 }
 
-/// Adapts a policy to a song: by imitating its own dances to it, the best of some candidates, or by
+/// Adapts a policy to songs: by imitating its own dances to them, the best of some candidates, or by
 /// their rewards where there are no candidates or no model directory. `init` is an official
 /// checkpoint that gives the critic to start from.
 ///
@@ -216,8 +250,7 @@ pub fn export_adapted(
     let checkpoint = read_finished(&adaptation.run(config), STAGE, &config.adapt.training)?;
     let path = checkpoint_path(&adaptation.run(config), STAGE);
     let state = TrainError::state(&path);
-    let name = adaptation.path.file_name().unwrap_or_default().to_string_lossy();
-    let facts = [("adapted_to", name.into_owned().into())];
+    let facts = [("adapted_to", adaptation.names())];
     match &adaptation.model {
         Some(model) => {
             let policy = model.policy().with_weights(&checkpoint).map_err(state)?;

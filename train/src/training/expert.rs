@@ -20,9 +20,10 @@ pub(super) struct ExpertDances {
 }
 
 impl ExpertDances {
-    /// Returns the pairs of codes that they begin with, each once.
-    pub(super) fn starts(&self) -> Vec<[u32; 2]> {
-        let starts = self.codes.iter().filter_map(|[upper, lower]| {
+    /// Returns the pairs of codes that dances begin with, each once.
+    pub(super) fn starts(of: &[Self]) -> Vec<[u32; 2]> {
+        let codes = of.iter().flat_map(|dances| &dances.codes);
+        let starts = codes.filter_map(|[upper, lower]| {
             Some([*upper.first()?, *lower.first()?].map(|code| code as u32))
         });
         let starts: BTreeSet<[u32; 2]> = starts.collect();
@@ -30,19 +31,21 @@ impl ExpertDances {
     }
 }
 
-/// Makes the dances to the song at `path` with `model`, or reads those that an
-/// interrupted adaptation has left in `folder`. Their seeds follow `seed`.
+/// Makes the dances to the song at `path` with `model`, or reads those that an interrupted
+/// adaptation has left in `folder` under the song's `name`. Their seeds follow `seed`.
 ///
 /// # Errors
 /// [`TrainError`]: the song cannot be danced to, or a file cannot be read or written.
 pub(super) fn expert_dances(
     settings: &AdaptConfig,
-    (model, path, folder): (&ServedModel, &Path, &Path),
+    (model, folder): (&ServedModel, &Path),
+    (path, name): (&Path, &str),
     seed: u64,
     output: &mut impl Write,
 ) -> Result<ExpertDances, TrainError> {
     let AdaptConfig { dances, candidates, .. } = settings;
-    let file = folder.join(format!("dances-{dances}-of-{candidates}-candidates-seed-{seed}.json"));
+    let name = format!("{name}-{dances}-dances-of-{candidates}-candidates-seed-{seed}.json");
+    let file = folder.join(name);
     if file.exists() {
         let text = fs::read(&file).map_err(TrainError::file(&file))?;
         let known = serde_json::from_slice(&text);
@@ -71,7 +74,7 @@ pub(super) fn expert_dances(
         made.codes.push([half(found.codes.upper), half(found.codes.lower)]);
         made.style = found.style;
         // Progress that cannot be shown is no reason to stop.
-        let _ = writeln!(output, "dance {}/{dances}", dance + 1);
+        let _ = writeln!(output, "{}: dance {}/{dances}", path.display(), dance + 1);
     }
     fs::create_dir_all(folder).map_err(TrainError::file(folder))?;
     let text =

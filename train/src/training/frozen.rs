@@ -10,6 +10,7 @@ use super::{
     stage::Stage,
 };
 use crate::{
+    HostTensor,
     nn::{Codebook, HalfNet, Parameters, Store, VqVaeSizes, random_vqvae},
     weights::VqVaeWeights,
 };
@@ -88,6 +89,15 @@ pub(super) fn save_codebook<B: Backend>(
         let name = format!("codebook.{half}.{part}");
         checkpoint.tensors.insert(name, tensor);
     }
+}
+
+/// Reads the entries of a half's codebook, `[codes, embedding]`.
+pub(super) fn read_entries<'a>(
+    checkpoint: &'a Checkpoint,
+    half: &str,
+) -> Result<&'a HostTensor, String> {
+    let [entries, ..] = CODEBOOK_PARTS;
+    checkpoint.tensor(&format!("codebook.{half}.{entries}"))
 }
 
 /// Reads a half's codebook.

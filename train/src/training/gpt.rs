@@ -5,6 +5,7 @@ use std::{collections::BTreeSet, io::Write, path::Path};
 use burn_tensor::{Int, Tensor, activation::log_softmax, backend::Backend};
 
 use super::{
+    base::BaseModel,
     checkpoint::Checkpoint,
     codes::{Augmentation, Codes},
     condition::{Condition, Conditions},
@@ -12,10 +13,10 @@ use super::{
     crops::test_means,
     energy::EnergyScale,
     error::TrainError,
-    frozen::FrozenVqVae,
+    frozen::{FrozenVqVae, HALVES, read_entries},
     identity::Identity,
     input::MotionSet,
-    kept::WEIGHT,
+    kept::{WEIGHT, read_kept},
     manners::Manners,
     music_scale::MusicScale,
     piece::MotionPiece,
@@ -77,8 +78,8 @@ pub(super) struct Start {
 }
 
 impl Start {
-    /// Reads the weights of `init`, a run's checkpoint or an official one, else draws random ones;
-    /// for music of so many columns.
+    /// Reads the weights of `init`, a model directory, a run's checkpoint or an official one, else
+    /// draws random ones; for music of so many columns.
     pub(super) fn read(
         config: &Config,
         set: &MotionSet,
@@ -97,6 +98,15 @@ impl Start {
         let Some(path) = init else {
             return Ok(start);
         };
+        if path.is_dir() {
+            let base = BaseModel::open(config, path)?;
+            let (vqvae, checkpoint) = read_kept(config, Stage::VqVae)?;
+            let [upper, lower] = HALVES.map(|half| read_entries(&checkpoint, half));
+            let entries = || Ok::<_, String>([upper?, lower?]);
+            let codebooks = entries().map_err(TrainError::state(&vqvae))?;
+            let weights = base.gpt(codebooks, columns, &start.manners.styles)?;
+            return start.with_official(config, weights).map_err(TrainError::state(path));
+        }
         match Checkpoint::of_extension(path)? {
             Some(checkpoint) => {
                 start.with_checkpoint(config, &checkpoint).map_err(TrainError::state(path))

@@ -34,11 +34,19 @@ pub(super) struct ImitationTask<'a> {
     pub(super) policy: Policy,
     /// Temperature that it is served at.
     pub(super) temperature: f64,
+    pub(super) songs: Vec<ImitatedSong>,
+}
+
+/// Dances to a song.
+pub(super) struct ImitatedSong {
     /// Scaled rows of the song; row `k + 1` is beside code `k`.
     pub(super) music: Array2<f32>,
     /// Upper and lower codes of each dance.
     pub(super) dances: Vec<[Vec<i32>; 2]>,
 }
+
+/// A window's song, dance to it, and first code.
+type Place = (usize, usize, usize);
 
 struct ImitationStage<'a, A: Trainable> {
     settings: &'a AdaptConfig,
@@ -46,8 +54,7 @@ struct ImitationStage<'a, A: Trainable> {
     task: ImitationTask<'a>,
     /// The policy as the stage found it.
     reference: Parameters<A::InnerBackend>,
-    /// A dance and a first code each.
-    windows: Vec<(usize, usize)>,
+    windows: Vec<Place>,
     /// The epoch that the order is of, and the order.
     order: Option<(usize, Vec<usize>)>,
     device: A::Device,
@@ -63,7 +70,7 @@ pub(super) fn imitate<A: Trainable>(
 ) -> Result<Outcome, TrainError> {
     let settings = &config.adapt;
     let block = task.policy.net.block();
-    let windows = windows(&task, block, settings.stride);
+    let windows = windows(&task.songs, block, settings.stride);
     if windows.is_empty() {
         return Err(TrainError::TooShort { length: block + 1, unit: "rows of music" });
     }
@@ -88,20 +95,20 @@ pub(super) fn imitate<A: Trainable>(
 }
 
 /// Returns the windows of `block` codes of all dances that have music.
-fn windows(task: &ImitationTask<'_>, block: usize, stride: usize) -> Vec<(usize, usize)> {
-    let rows = task.music.nrows();
-    let dances = task.dances.iter().enumerate();
-    let windows = dances.flat_map(|(dance, [upper, _])| {
-        let codes = upper.len().min(rows.saturating_sub(1));
-        let starts = (codes + 1).saturating_sub(block);
-        (0..starts).step_by(stride).map(move |first| (dance, first))
+fn windows(songs: &[ImitatedSong], block: usize, stride: usize) -> Vec<Place> {
+    let windows = songs.iter().enumerate().flat_map(|(song, ImitatedSong { music, dances })| {
+        dances.iter().enumerate().flat_map(move |(dance, [upper, _])| {
+            let codes = upper.len().min(music.nrows().saturating_sub(1));
+            let starts = (codes + 1).saturating_sub(block);
+            (0..starts).step_by(stride).map(move |first| (song, dance, first))
+        })
     });
     windows.collect()
 }
 
 impl<A: Trainable> ImitationStage<'_, A> {
     /// Returns the windows of a step: in every epoch each once, in another order.
-    fn batch(&mut self, step: u64) -> Vec<(usize, usize)> {
+    fn batch(&mut self, step: u64) -> Vec<Place> {
         let (size, count) = (self.settings.training.batch, self.windows.len());
         let first = step as usize * size;
         let places = (first..first + size).map(|place| {
@@ -127,10 +134,9 @@ impl<A: Trainable> TrainableStage<A> for ImitationStage<'_, A> {
     fn step(&mut self, parameters: &Parameters<A>, step: u64) -> Losses<A> {
         let windows = self.batch(step);
         let task = &self.task;
-        let windows = windows.iter().map(|&(dance, first)| Window {
-            music: task.music.view(),
-            codes: &task.dances[dance],
-            first,
+        let windows = windows.iter().map(|&(song, dance, first)| {
+            let ImitatedSong { music, dances } = &task.songs[song];
+            Window { music: music.view(), codes: &dances[dance], first }
         });
         let net = &task.policy.net;
         let windows: Vec<Window<'_>> = windows.collect();
@@ -173,7 +179,7 @@ mod tests {
     };
 
     #[test]
-    fn a_policy_learns_the_dances_of_its_song() {
+    fn a_policy_learns_the_dances_of_its_songs() {
         const COLUMNS: usize = 3;
         let folder = tempfile::tempdir().unwrap();
         let mut config = Config::parse(include_str!("../../presets/tiny.toml")).unwrap();
@@ -194,20 +200,23 @@ mod tests {
         };
         let dance =
             |step: i32| [step, 2 * step].map(|step| (0..19).map(|k| k * step % 7).collect());
+        let song = |tempo: f32, step| ImitatedSong {
+            music: Array2::from_shape_fn((20, COLUMNS), |(row, column)| {
+                (row as f32 * (tempo + column as f32)).sin()
+            }),
+            dances: vec![dance(step)],
+        };
         let task = ImitationTask {
             name: "adapt",
             identity: Identity::default(),
             run: &config.run,
             policy,
             temperature: 0.5,
-            music: Array2::from_shape_fn((20, COLUMNS), |(row, column)| {
-                (row as f32 * (0.5 + column as f32)).sin()
-            }),
-            dances: vec![dance(1), dance(3)],
+            songs: vec![song(0.5, 1), song(0.8, 3)],
         };
         // 19 codes have 12 windows of 8, of which every third is used.
-        let places: Vec<_> = windows(&task, 8, 3);
-        assert_eq!(places[..5], [(0, 0), (0, 3), (0, 6), (0, 9), (1, 0)]);
+        let places: Vec<_> = windows(&task.songs, 8, 3);
+        assert_eq!(places[..5], [(0, 0, 0), (0, 0, 3), (0, 0, 6), (0, 0, 9), (1, 0, 0)]);
         let log = &mut Vec::new();
         imitate::<Autodiff<Flex>>(&config, task, &FlexDevice, Limits::default(), log).unwrap();
         let series = read_series(&folder.path().join("adapt/metrics.csv")).unwrap();

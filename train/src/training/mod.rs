@@ -5,6 +5,7 @@ mod actor_critic;
 mod adam;
 mod adapt;
 mod balance;
+mod base;
 mod calibrate;
 mod chart;
 mod checkpoint;

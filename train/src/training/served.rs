@@ -138,6 +138,10 @@ impl ServedModel {
         self.directory.manifest_sha256()
     }
 
+    pub(super) fn gpt(&self) -> &GptWeights {
+        &self.gpt
+    }
+
     pub(super) fn policy(&self) -> Policy {
         Policy::of_model(&self.gpt, self.manifest())
     }

@@ -162,7 +162,8 @@ fn test_losses_are_the_losses_without_learning() {
     config.velocity.pose_decoders = true;
     config.velocity.speed_weight = 2.0;
     config.velocity.contact_weight = 3.0;
-    let (spec, mut stage) = VelocityStage::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
+    let (spec, mut stage) =
+        VelocityStage::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
     let parameters = Parameters::from_store(&spec.store, &FlexDevice);
     compare(&mut stage, &parameters, &[0, 3]);
     let output = spec.store.entries().iter().find(|(name, _)| name == "root.output.bias");
@@ -213,7 +214,7 @@ fn decoders_of_both_halves_learn_on_where_asked_to() {
     let set = MotionSet::new(whole(FRAMES), Some(whole::<Evaluation>(FRAMES)));
     let log = &mut Vec::new();
     train(Stage::VqVae, &config, &set, None, Limits::default(), log).unwrap();
-    let (spec, stage) = VelocityStage::<Tracked>::new(&config, &set, &FlexDevice).unwrap();
+    let (spec, stage) = VelocityStage::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
     let poses = |store: &Store| {
         let losses = stage.test(&Parameters::from_store(store, &FlexDevice));
         losses.unwrap()[1]

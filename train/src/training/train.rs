@@ -15,8 +15,9 @@ use super::{
     vqvae::VqVaeStage,
 };
 
-/// Runs a stage on the device that the configuration names. `init` is an official checkpoint to
-/// start from; `velocity` has none, and for `actor-critic` it gives the critic alone.
+/// Runs a stage on the device that the configuration names. `init` is what it starts from: a model
+/// directory, or an official checkpoint; `velocity` takes a directory alone, `actor-critic` a
+/// checkpoint's critic alone.
 ///
 /// # Errors
 /// Any [`TrainError`]; the last checkpoint stays.
@@ -37,7 +38,7 @@ pub fn train(
             run(&spec, &mut stage, &device, limits, output)
         }
         Stage::Velocity => {
-            let (spec, mut stage) = VelocityStage::<A>::new(config, set, &device)?;
+            let (spec, mut stage) = VelocityStage::<A>::new(config, set, init, &device)?;
             run(&spec, &mut stage, &device, limits, output)
         }
         Stage::Gpt => {

@@ -3,9 +3,12 @@
 //! With `pose_decoders` the decoders of both halves learn as well: the codes no longer change their
 //! meaning, so the decoders can follow them more closely.
 
+use std::path::Path;
+
 use burn_tensor::Tensor;
 
 use super::{
+    base::BaseModel,
     config::Config,
     contact::Standing,
     crops::{change, differences, motion_columns, motion_windows, test_means},
@@ -72,10 +75,14 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
     pub(super) fn new(
         config: &'a Config,
         set: &'a MotionSet,
+        init: Option<&Path>,
         device: &A::Device,
     ) -> Result<(StageSpec<'a>, Self), TrainError> {
         let settings = &config.velocity;
-        let frozen = FrozenVqVae::read(config, device)?;
+        let mut frozen = FrozenVqVae::read(config, device)?;
+        if let Some(path) = init {
+            frozen.halves.weights.root = BaseModel::open(config, path)?.root().clone();
+        }
         let Decoders { root, halves, store } = Decoders::new(config, &frozen.halves);
         let crops = (settings.frames, settings.stride);
         let windows = motion_windows(config, set, crops, &settings.balance, config.run.seed ^ 1)?;

@@ -5,6 +5,7 @@ use std::path::Path;
 use burn_tensor::Tensor;
 
 use super::{
+    base::BaseModel,
     checkpoint::Checkpoint,
     config::Config,
     contact::Standing,
@@ -50,7 +51,13 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
         let mut halves = Halves::random(config);
         let mut codebooks = [None, None];
         if let Some(path) = init {
-            let weights = VqVaeWeights::from_checkpoint(&mut TorchCheckpoint::open(path)?)?;
+            let (weights, known) = if path.is_dir() {
+                let base = BaseModel::open(config, path)?;
+                (base.vqvae(settings.codes)?, base.codes())
+            } else {
+                let checkpoint = &mut TorchCheckpoint::open(path)?;
+                (VqVaeWeights::from_checkpoint(checkpoint)?, settings.codes)
+            };
             let found = Halves::new(config, weights);
             let tables = [&found.weights.upper.codebook, &found.weights.lower.codebook];
             let wanted = [settings.codes, settings.embedding];
@@ -62,7 +69,7 @@ impl<'a, A: Trainable> VqVaeStage<'a, A> {
                     message: "is of other sizes than [vqvae] says".into(),
                 });
             }
-            codebooks = tables.map(|table| Some(Codebook::new(table, device)));
+            codebooks = tables.map(|table| Some(Codebook::begun(table, known, device)));
             halves = found;
         }
         let crops = (settings.frames, settings.stride);

@@ -1,6 +1,6 @@
 //! A whole run: every stage in order, then the model directory.
 
-use std::{io::Write, time::Instant};
+use std::{io::Write, path::Path, time::Instant};
 
 use super::{
     config::Config,
@@ -19,7 +19,7 @@ use crate::export::check_target;
 /// Runs all stages from their checkpoints, then the export. Finished stages, and a model that is
 /// made of them, stay as they are, with one line on `output`.
 ///
-/// `replace` allows another model to be replaced; without it a model that is in the way stops the
+/// `init` is a model directory that the stages before the rewards start from. `replace` allows another model to be replaced; without it a model that is in the way stops the
 /// run before hours are spent. `limits.seconds` limits all stages together, `limits.steps` each of
 /// them.
 ///
@@ -28,6 +28,7 @@ use crate::export::check_target;
 pub fn run_all(
     config: &Config,
     replace: bool,
+    init: Option<&Path>,
     limits: Limits,
     output: &mut impl Write,
 ) -> Result<Outcome, TrainError> {
@@ -45,7 +46,8 @@ pub fn run_all(
         let set = read_once(&mut known, stage.load(), config, output)?;
         let limits = Limits { seconds: limits.seconds.map(|most| most - spent), ..limits };
         let start = Instant::now();
-        if train(stage, config, set, None, limits, output)? == Outcome::Paused {
+        let init = init.filter(|_| stage != Stage::ActorCritic);
+        if train(stage, config, set, init, limits, output)? == Outcome::Paused {
             return Ok(Outcome::Paused);
         }
         spent += start.elapsed().as_secs_f64();

@@ -141,7 +141,7 @@ fn decoder(
     let mut levels = Vec::new();
     for level in 0..count.clamp(1, MAX_LEVELS) {
         let name = format!("{name}.levels.{level}");
-        let stack = stack(source, &name, width)?;
+        let stack = stack(source, &name, width, Dilations::Descending)?;
         let transposed = transposed(source, &format!("{name}.transposed"), width)?;
         width = transposed.weight.dim(1);
         levels.push(DecoderLevel { stack, transposed });
@@ -151,10 +151,11 @@ fn decoder(
     Ok(DecoderWeights { input, levels, output })
 }
 
-fn stack(
+pub(super) fn stack(
     source: &mut Source<'_>,
     name: &str,
     width: usize,
+    dilations: Dilations,
 ) -> Result<Vec<ResidualBlock>, CheckpointError> {
     let depth = source.count(|place| format!("{name}.stack.{place}.dilated.bias")).max(1);
     let block = |place: usize| {
@@ -164,7 +165,7 @@ fn stack(
         let shape = ConvolutionShape::new(Is(width), Is(dilated.weight.dim(0)), 1);
         Ok(ResidualBlock {
             pointwise: convolution(source, &format!("{name}.pointwise"), shape)?,
-            dilation: Dilations::Descending.of(place, depth),
+            dilation: dilations.of(place, depth),
             dilated,
         })
     };

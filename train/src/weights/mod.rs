@@ -2,11 +2,13 @@
 //! read from these. All sizes
 //! are read off the tensors' shapes and checked against each other.
 
+mod encoder_graph;
 mod gpt;
 mod graphs;
 mod source;
 mod vqvae;
 
+pub(crate) use encoder_graph::encoders_from_graph;
 pub(crate) use source::Tensors;
 
 pub use gpt::{Block, CriticWeights, GptWeights, LayerNorm, Linear};

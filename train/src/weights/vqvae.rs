@@ -14,7 +14,7 @@ use crate::{HostTensor, checkpoint::CheckpointError, checkpoint::TorchCheckpoint
 pub const HALF_JOINTS: ([usize; 15], [usize; 9]) =
     ([3, 6, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23], [0, 1, 2, 4, 5, 7, 8, 10, 11]);
 /// Kernel of every strided and transposed convolution.
-const STRIDED_KERNEL: usize = 4;
+pub(super) const STRIDED_KERNEL: usize = 4;
 /// Kernel of the plain and of the dilated convolutions.
 pub(super) const KERNEL: usize = 3;
 /// A code of more than 256 frames (over four seconds) is no pose code.
