@@ -189,6 +189,7 @@ impl Preparer {
             conditioning,
             params: request.options.resolve(manifest, self.rows, seed),
             prompt,
+            style: request.prologue.style.clone(),
             resumes: request.prologue.prompt.shown > 0,
             progress: Arc::clone(&request.progress),
             soon: matches!(sink, MotionSink::Stream(_)),

@@ -28,6 +28,8 @@ pub(crate) struct SequenceRequest {
     /// Codes that the sequence continues. The last of them is given as its first code: it stands
     /// before the first row of music, and is no part of the result.
     pub(crate) prompt: Vec<[u32; 2]>,
+    /// Style of the dance; none from a model without styles.
+    pub(crate) style: Option<String>,
     /// Whether the motion begins inside the prompt's last code, which is decoded again then.
     pub(crate) resumes: bool,
     pub(crate) progress: Arc<dyn Progress>,
@@ -104,8 +106,8 @@ impl Sequence {
     pub(crate) fn new(request: SequenceRequest, manifest: &Manifest) -> Self {
         let params = &request.params;
         let mut sampler = Sampler::new(params.sampling, params.seed);
-        let drawable = manifest.suppressed_codes.others(manifest.vocabulary);
-        let pairs = &manifest.start_codes;
+        let style = request.style.as_deref();
+        let (drawable, pairs) = (manifest.drawable_in(style), manifest.starts_in(style));
         let drawn = start_codes(params.start, pairs, &drawable, &mut sampler);
         let first = request.prompt.last().copied().unwrap_or(drawn);
         let total = request.conditioning.features.nrows() - request.undecoded();

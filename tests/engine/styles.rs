@@ -114,3 +114,64 @@ fn a_classifier_of_other_styles_stops_the_start() {
     let (_, style) = generated(&engine, rows(&engine), &options(None));
     assert_eq!(style.as_deref(), Some("mixed"));
 }
+
+/// A dance that began in another style, or came upon its codes, would go on in it.
+#[test]
+fn a_dance_begins_as_its_style_does_and_keeps_to_its_codes() {
+    let folder = changed(&tiny_styles(), |manifest| {
+        manifest["start_codes"] = serde_json::json!([[3, 5], [9, 1]]);
+        manifest["style_start_codes"] = serde_json::json!({"house": [[9, 1]]});
+        manifest["style_codes"] =
+            serde_json::json!({"house": {"upper": [2, 3, 9], "lower": [1, 5]}});
+    });
+    let engine = open(folder.path()).unwrap();
+    let dances = |style: &str| {
+        let dances = (0..12).map(|seed| {
+            let options = GenerationOptions { seed: Some(seed), ..options(Some(style)) };
+            generated(&engine, rows(&engine), &options).0
+        });
+        dances.collect::<Vec<_>>()
+    };
+    let of_house = dances("house");
+    assert!(of_house.iter().all(|codes| [codes.upper[0], codes.lower[0]] == [9, 1]));
+    for codes in &of_house {
+        assert!(codes.upper.iter().all(|code| [2, 3, 9].contains(code)), "{codes:?}");
+        assert!(codes.lower.iter().all(|code| [1, 5].contains(code)), "{codes:?}");
+    }
+    for other in ["lock", "mixed"].map(dances) {
+        assert!(other.iter().any(|codes| codes.upper[0] == 3));
+        assert!(other.iter().flat_map(|codes| &codes.lower).any(|code| ![1, 5].contains(code)));
+    }
+}
+
+#[test]
+fn codes_of_styles_that_make_no_sense_stop_the_start() {
+    let nothing = serde_json::json!({});
+    for (starts, codes, says) in [
+        (serde_json::json!({"tango": [[9, 1]]}), &nothing, "style_start_codes has \"tango\""),
+        (serde_json::json!({"house": [[1, 9]]}), &nothing, "1, 9 of house are none of start_codes"),
+        (
+            nothing.clone(),
+            &serde_json::json!({"tango": {"upper": [1], "lower": [1]}}),
+            "style_codes has \"tango\"",
+        ),
+        (
+            nothing.clone(),
+            &serde_json::json!({"lock": {"upper": [1], "lower": [2, 1]}}),
+            "style_codes of lock are not ascending",
+        ),
+        (
+            nothing.clone(),
+            &serde_json::json!({"lock": {"upper": [1], "lower": []}}),
+            "style_codes leave lock nothing to draw",
+        ),
+    ] {
+        let folder = changed(&tiny_styles(), |manifest| {
+            manifest["start_codes"] = serde_json::json!([[9, 1]]);
+            manifest["style_start_codes"] = starts;
+            manifest["style_codes"] = codes.clone();
+        });
+        let said = open(folder.path()).unwrap_err().to_string();
+        assert!(said.contains(says), "{said}");
+    }
+}

@@ -247,6 +247,8 @@ fn manifest() -> Manifest {
         upper_joints: vec![1, 2],
         lower_joints: vec![0],
         start_codes: vec![[1, 2]],
+        style_start_codes: BTreeMap::new(),
+        style_codes: BTreeMap::new(),
         suppressed_codes: SuppressedCodes { upper: Vec::new(), lower: vec![7] },
         sampling: SamplingDefaults {
             temperature: 1.0,

@@ -71,6 +71,8 @@ fn main() -> anyhow::Result<()> {
         energy: false,
         classifier: None,
         start_codes: Vec::new(),
+        style_start_codes: BTreeMap::new(),
+        style_codes: BTreeMap::new(),
         suppressed_codes: SuppressedCodes::default(),
         temperature: 1.0,
         guidance: 1.0,

@@ -47,7 +47,7 @@ pub use manner::{MAX_STYLES, Manner, MannerSpec, NO_STYLE, check_styles};
 pub use runtime::LIBRARY_VARIABLE;
 pub use song_statistics::{STATISTICS, song_statistics};
 pub use style_classifier::{STYLES_FILE, StyleClassifier, root_mean_square};
-pub use vocabulary::{SuppressedCodes, Vocabulary};
+pub use vocabulary::{StyleCodes, SuppressedCodes, Vocabulary};
 pub use vqvae::{Decoder, Encoder, code_pairs};
 
 /// Whether a graph passes the checks of a model directory; for the fuzz target `graph`.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::{MannerSpec, SuppressedCodes, Vocabulary, manner::check_styles};
+use super::{MannerSpec, StyleCodes, SuppressedCodes, Vocabulary, manner::check_styles};
 use bailando_features::{COLUMNS, HOP, Profile, Rate};
 use bailando_motion::{MotionFrame, Skeleton};
 
@@ -53,6 +53,13 @@ pub struct Manifest {
     pub lower_joints: Vec<usize>,
     /// Pairs (upper, lower) to draw a start from; empty: any pair of the vocabulary.
     pub start_codes: Vec<[u32; 2]>,
+    /// Those to draw the start of a dance in a style from, by its name; absent, as for a dance in
+    /// none: all.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub style_start_codes: BTreeMap<String, Vec<[u32; 2]>>,
+    /// Codes that a dance in a style may draw, by its name; absent, as for a dance in none: all.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub style_codes: BTreeMap<String, StyleCodes>,
     /// Codes that are never drawn; absent: none.
     #[serde(default, skip_serializing_if = "SuppressedCodes::is_empty")]
     pub suppressed_codes: SuppressedCodes,
@@ -378,6 +385,23 @@ impl Manifest {
         Ok(())
     }
 
+    /// Pairs to draw the start of a dance in a style from, or in none; empty: any pair.
+    #[must_use]
+    pub fn starts_in(&self, style: Option<&str>) -> &[[u32; 2]] {
+        let own = style.and_then(|style| self.style_start_codes.get(style));
+        own.filter(|own| !own.is_empty()).unwrap_or(&self.start_codes)
+    }
+
+    /// Codes that a dance in a style may draw, or in none, upper and lower, ascending.
+    #[must_use]
+    pub fn drawable_in(&self, style: Option<&str>) -> [Vec<u32>; 2] {
+        let mut codes = self.suppressed_codes.others(self.vocabulary);
+        if let Some(own) = style.and_then(|style| self.style_codes.get(style)) {
+            own.narrow(&mut codes);
+        }
+        codes
+    }
+
     /// Bytes of a sequence's keys and values: three streams, in float32.
     fn memory_bytes(&self) -> u64 {
         let GptSpec { block, channels, layers, .. } = self.gpt;
@@ -390,6 +414,25 @@ impl Manifest {
         let fits = |&[u, l]: &[u32; 2]| (u as usize) < upper && (l as usize) < lower;
         if let Some([u, l]) = self.start_codes.iter().find(|pair| !fits(pair)) {
             return Err(format!("start codes {u}, {l} lie outside the vocabulary"));
+        }
+        for (style, pairs) in &self.style_start_codes {
+            if !self.styles.contains(style) {
+                return Err(format!("style_start_codes has {style:?}, which is none of styles"));
+            }
+            if let Some([u, l]) = pairs.iter().find(|pair| !self.start_codes.contains(pair)) {
+                return Err(format!("start codes {u}, {l} of {style} are none of start_codes"));
+            }
+        }
+        for (style, codes) in &self.style_codes {
+            if !self.styles.contains(style) {
+                return Err(format!("style_codes has {style:?}, which is none of styles"));
+            }
+            if ![&codes.upper, &codes.lower].iter().all(|codes| codes.is_sorted_by(|a, b| a < b)) {
+                return Err(format!("style_codes of {style} are not ascending"));
+            }
+            if self.drawable_in(Some(style)).iter().any(Vec::is_empty) {
+                return Err(format!("style_codes leave {style} nothing to draw"));
+            }
         }
         self.suppressed_codes.validate(self.vocabulary, &self.start_codes)?;
         let SamplingDefaults { temperature, top_k, guidance, candidates, hop, .. } = self.sampling;

@@ -13,6 +13,25 @@ pub struct Vocabulary {
     pub lower: usize,
 }
 
+/// Codes of each half that a dance in a style may draw: those of its training recordings. One that
+/// left them would go on in another style.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StyleCodes {
+    /// Of the upper half, ascending.
+    pub upper: Vec<u32>,
+    /// Of the lower half, ascending.
+    pub lower: Vec<u32>,
+}
+
+impl StyleCodes {
+    /// Takes out what is no code of the style.
+    pub(super) fn narrow(&self, [upper, lower]: &mut [Vec<u32>; 2]) {
+        upper.retain(|code| self.upper.binary_search(code).is_ok());
+        lower.retain(|code| self.lower.binary_search(code).is_ok());
+    }
+}
+
 /// Codes of each half that are never drawn: poses that a dancer cannot hold alone, say. Given
 /// codes, and those of a dance that is gone on with, may be among them.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

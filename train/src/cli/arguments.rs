@@ -179,8 +179,8 @@ pub(super) struct WholeArguments {
     #[command(flatten)]
     pub(super) run: RunArguments,
 
-    /// Model directory that all stages but actor-critic start from; codes and styles that it has not
-    /// are added
+    /// Model directory that all stages but actor-critic start from; codes and styles that it has
+    /// not are added
     #[arg(long, value_name = "DIR")]
     pub(super) init: Option<PathBuf>,
 
@@ -197,9 +197,9 @@ pub(super) struct StageArguments {
     #[command(flatten)]
     pub(super) settings: SettingsArguments,
 
-    /// What to start from: a model directory (vqvae, velocity, gpt) or an official checkpoint (vqvae,
-    /// gpt; actor-critic takes its critic, adapt where it learns from rewards). gpt also takes a
-    /// run's checkpoint.safetensors
+    /// What to start from: a model directory (vqvae, velocity, gpt) or an official checkpoint
+    /// (vqvae, gpt; actor-critic takes its critic, adapt where it learns from rewards). gpt also
+    /// takes a run's checkpoint.safetensors
     #[arg(long, value_name = "DIR|FILE.pt")]
     pub(super) init: Option<PathBuf>,
 
@@ -396,6 +396,8 @@ impl From<ImportArguments> for ImportOptions {
                 energy: false,
                 classifier: None,
                 start_codes: Vec::new(),
+                style_start_codes: BTreeMap::new(),
+                style_codes: BTreeMap::new(),
                 suppressed_codes: SuppressedCodes::default(),
                 temperature: arguments.temperature,
                 guidance: 1.0,

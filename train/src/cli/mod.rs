@@ -112,8 +112,8 @@ fn train_stage(
     };
     anyhow::ensure!(
         !(file && stage == Stage::Velocity),
-        "velocity takes no file for --init: it starts from the VQ-VAE of the run, or with the root's \
-         decoder of a model directory"
+        "velocity takes no file for --init: it starts from the VQ-VAE of the run, or with the \
+         root's decoder of a model directory"
     );
     anyhow::ensure!(
         !(directory && stage == Stage::ActorCritic),

@@ -6,7 +6,8 @@ use bailando::{
     features::{HOP, Profile, Rate},
     model::{
         CountSource, DecoderSpec, FORMAT_VERSION, FeatureSpec, GptSpec, Manifest, MannerSpec,
-        SamplingDefaults, StyleClassifier, SuppressedCodes, Vocabulary, WeightStorage, WindowKind,
+        SamplingDefaults, StyleClassifier, StyleCodes, SuppressedCodes, Vocabulary, WeightStorage,
+        WindowKind,
     },
     motion::MotionFrame,
 };
@@ -44,6 +45,10 @@ pub struct Description {
     pub classifier: Option<StyleClassifier>,
     /// Pairs (upper, lower) to draw a start from; empty: any pair.
     pub start_codes: Vec<[u32; 2]>,
+    /// Those of dances in a style.
+    pub style_start_codes: BTreeMap<String, Vec<[u32; 2]>>,
+    /// Codes that dances in a style may draw.
+    pub style_codes: BTreeMap<String, StyleCodes>,
     /// Codes that are never drawn.
     pub suppressed_codes: SuppressedCodes,
     /// Default temperature; 0 takes the most likely code.
@@ -108,6 +113,8 @@ pub(super) fn manifest(
         upper_joints: upper_joints.to_vec(),
         lower_joints: lower_joints.to_vec(),
         start_codes: description.start_codes.clone(),
+        style_start_codes: description.style_start_codes.clone(),
+        style_codes: description.style_codes.clone(),
         suppressed_codes: description.suppressed_codes.clone(),
         sampling: SamplingDefaults {
             temperature: description.temperature,

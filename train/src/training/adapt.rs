@@ -1,5 +1,5 @@
-//! Stage `adapt`, "choreograph in the wild" (paper section 3.3): the policy learns further for songs
-//! that no motion is needed for.
+//! Stage `adapt`, "choreograph in the wild" (paper section 3.3): the policy learns further for
+//! songs that no motion is needed for.
 
 use std::{
     fs::File,
@@ -120,7 +120,9 @@ impl Adaptation {
             dances.push(expert_dances(settings, place, (path, hash), seed, output)?);
         }
         // From any other code it would first have to find one of the dances.
-        let policy = Policy { starts: ExpertDances::starts(&dances), ..model.policy() };
+        let style_starts = ExpertDances::style_starts(&dances, &model.manifest().styles);
+        let policy =
+            Policy { starts: ExpertDances::starts(&dances), style_starts, ..model.policy() };
         let (run, temperature) = (self.run(config), model.temperature());
         let songs = self.songs.iter().zip(dances).map(|(song, dances)| ImitatedSong {
             music: policy.conditioned(&song.rows, dances.style.as_deref()),
@@ -215,8 +217,8 @@ fn concerns_imitation(name: &str) -> bool {
     name == "run.seed" || name.starts_with("adapt.") && !others.contains(&name)
 }
 
-/// Adapts a policy to songs: by imitating its own dances to them, the best of some candidates, or by
-/// their rewards where there are no candidates or no model directory. `init` is an official
+/// Adapts a policy to songs: by imitating its own dances to them, the best of some candidates, or
+/// by their rewards where there are no candidates or no model directory. `init` is an official
 /// checkpoint that gives the critic to start from.
 ///
 /// # Errors

@@ -65,6 +65,8 @@ fn in_graph(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use crate::{
         nn::{GptNet, GptSizes, Store, random_gpt},
@@ -82,6 +84,8 @@ mod tests {
             scale: MusicScale { mean: vec![0.0; 3], spread: vec![spread; 3] },
             manners: Manners::default(),
             starts: vec![[1, 4], [3, 0]],
+            style_starts: BTreeMap::new(),
+            style_codes: BTreeMap::new(),
             critic: None,
         }
     }

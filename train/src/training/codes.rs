@@ -88,16 +88,24 @@ impl Codes {
         &dance.vectors[usize::from(window.mirrored) * dance.phases + window.phase]
     }
 
-    /// Returns the codes that every motion and mirror image begins with; `firsts` has the first
-    /// frame of each motion that is learned.
-    pub(super) fn starts(&self, firsts: &[usize]) -> impl Iterator<Item = [i32; 2]> {
-        let motions = self.motions.iter().zip(firsts);
-        let whole = motions.flat_map(|(dance, first)| {
+    /// Returns each motion's codes from its first frame on and those of its mirror image.
+    pub(super) fn whole(&self, motion: usize) -> impl Iterator<Item = &Pair> {
+        let motion = &self.motions[motion];
+        motion.codes.iter().step_by(motion.phases)
+    }
+
+    /// Returns the codes that every motion and mirror image begins with, with the motion's number;
+    /// `firsts` has the first frame of each motion that is learned.
+    pub(super) fn starts(&self, firsts: &[usize]) -> impl Iterator<Item = (usize, [u32; 2])> {
+        let motions = self.motions.iter().zip(firsts).enumerate();
+        let whole = motions.flat_map(|(motion, (dance, first))| {
             let code = first.div_ceil(FRAMES_PER_CODE);
             let whole = dance.codes.iter().step_by(dance.phases);
-            whole.map(move |pair| pair.each_ref().map(|half| half.get(code).copied()))
+            whole.map(move |pair| (motion, pair.each_ref().map(|half| half.get(code).copied())))
         });
-        whole.filter_map(|[upper, lower]| Some([upper?, lower?]))
+        whole.filter_map(|(motion, [upper, lower])| {
+            Some((motion, [upper?, lower?].map(|code| code as u32)))
+        })
     }
 }
 

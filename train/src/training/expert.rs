@@ -1,6 +1,11 @@
 //! The expert of an adaptation: the served model with a choice among candidates for each phrase.
 
-use std::{collections::BTreeSet, fs, io::Write, path::Path};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fs,
+    io::Write,
+    path::Path,
+};
 
 use bailando::{
     engine::{Engine, EngineConfig, EngineError, GenerationOptions, GenerationRequest, MAX_SEED},
@@ -21,13 +26,22 @@ pub(super) struct ExpertDances {
 
 impl ExpertDances {
     /// Returns the pairs of codes that dances begin with, each once.
-    pub(super) fn starts(of: &[Self]) -> Vec<[u32; 2]> {
-        let codes = of.iter().flat_map(|dances| &dances.codes);
+    pub(super) fn starts<'a>(of: impl IntoIterator<Item = &'a Self>) -> Vec<[u32; 2]> {
+        let codes = of.into_iter().flat_map(|dances| &dances.codes);
         let starts = codes.filter_map(|[upper, lower]| {
             Some([*upper.first()?, *lower.first()?].map(|code| code as u32))
         });
         let starts: BTreeSet<[u32; 2]> = starts.collect();
         starts.into_iter().collect()
+    }
+
+    /// Returns those of dances in each style.
+    pub(super) fn style_starts(of: &[Self], styles: &[String]) -> BTreeMap<String, Vec<[u32; 2]>> {
+        let own = |style: &String| {
+            let dances = of.iter().filter(|dances| dances.style.as_ref() == Some(style));
+            (style.clone(), Self::starts(dances))
+        };
+        styles.iter().map(own).filter(|(_, starts)| !starts.is_empty()).collect()
     }
 }
 

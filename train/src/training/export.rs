@@ -55,6 +55,12 @@ pub(super) fn write<const N: usize>(
         energy: policy.manners.energy,
         classifier: read_classifier(config, &policy.manners.styles)?,
         start_codes: allowed_starts(&policy.starts, &suppressed_codes),
+        style_start_codes: policy
+            .style_starts
+            .iter()
+            .map(|(style, starts)| (style.clone(), allowed_starts(starts, &suppressed_codes)))
+            .collect(),
+        style_codes: policy.style_codes.clone(),
         suppressed_codes,
         temperature: config.export.temperature,
         guidance: config.export.guidance,

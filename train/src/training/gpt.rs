@@ -20,6 +20,8 @@ use super::{
     manners::Manners,
     music_scale::MusicScale,
     piece::MotionPiece,
+    policy::{put_style_codes, put_style_starts, random},
+    repertoire::Repertoire,
     stage::Stage,
     time_shift::{InputCorruption, TimeShiftAugmentation},
     trainable::{Losses, StageSpec, TrainableStage},
@@ -28,7 +30,7 @@ use super::{
 use crate::{
     checkpoint::TorchCheckpoint,
     data::{Choice, CropPlan, Draw, FRAMES_PER_CODE, PHASES},
-    nn::{self, GptNet, GptSizes, Kernels, Parameters, Store, Trainable, gathered, random_gpt},
+    nn::{self, GptNet, Kernels, Parameters, Store, Trainable, gathered},
     weights::GptWeights,
 };
 
@@ -49,24 +51,6 @@ pub(super) struct GptStage<'a, A: Trainable> {
     manners: Manners,
     energy: Option<EnergyScale>,
     device: A::Device,
-}
-
-/// Returns a random network of the configured size.
-pub(super) fn random(config: &Config, columns: usize) -> GptWeights {
-    let gpt = &config.gpt;
-    let codes = match config.ablation.continuous {
-        true => config.vqvae.embedding,
-        false => config.vqvae.codes,
-    };
-    let sizes = GptSizes {
-        channels: gpt.channels,
-        heads: gpt.heads,
-        layers: gpt.base_layers + gpt.head_layers,
-        block: gpt.block,
-        codes: [codes, codes],
-        columns,
-    };
-    random_gpt(sizes, config.run.seed ^ 2)
 }
 
 /// The weights that training starts from.
@@ -394,9 +378,14 @@ impl<A: Trainable> TrainableStage<A> for GptStage<'_, A> {
     fn save(&self, checkpoint: &mut Checkpoint) {
         self.scale.save(checkpoint);
         self.manners.save(checkpoint);
-        let starts: BTreeSet<[i32; 2]> = self.codes.starts(&self.first_frames()).collect();
+        let firsts = self.first_frames();
+        let starts: BTreeSet<[u32; 2]> = self.codes.starts(&firsts).map(|(_, pair)| pair).collect();
         let values: Vec<f32> = starts.iter().flatten().map(|&code| code as f32).collect();
         checkpoint.put_rows("start_codes", 2, &values);
+        let styles = &self.manners.styles;
+        let repertoire = Repertoire { codes: &self.codes, pieces: self.set.training.pieces() };
+        put_style_starts(checkpoint, styles, &repertoire.starts(styles, &firsts));
+        put_style_codes(checkpoint, styles, &repertoire.style_codes(styles));
     }
 
     fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), String> {

@@ -169,13 +169,17 @@ impl<A: Trainable> TrainableStage<A> for ImitationStage<'_, A> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use burn_autodiff::Autodiff;
     use burn_flex::{Flex, FlexDevice};
 
     use super::*;
     use crate::{
         nn::{GptNet, Store},
-        training::{gpt::random, manners::Manners, metrics::read_series, music_scale::MusicScale},
+        training::{
+            manners::Manners, metrics::read_series, music_scale::MusicScale, policy::random,
+        },
     };
 
     #[test]
@@ -196,6 +200,8 @@ mod tests {
             scale: MusicScale::plain(COLUMNS),
             manners: Manners::default(),
             starts: vec![[3, 5]],
+            style_starts: BTreeMap::new(),
+            style_codes: BTreeMap::new(),
             critic: None,
         };
         let dance =

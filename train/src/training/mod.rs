@@ -39,6 +39,7 @@ mod plots;
 mod policy;
 mod progress;
 mod recombine;
+mod repertoire;
 mod reward;
 mod rollout;
 mod runner;

@@ -1,13 +1,14 @@
 //! The motion GPT of a finished stage, from which `actor-critic`, `adapt` and `export` start.
 
-use bailando::model::Manifest;
+use std::collections::BTreeMap;
+
+use bailando::model::{Manifest, StyleCodes};
 use ndarray::Array2;
 
 use super::{
     checkpoint::Checkpoint,
     config::Config,
     error::TrainError,
-    gpt::random,
     identity::is_finished,
     kept::{WEIGHT, read_kept},
     manners::Manners,
@@ -15,12 +16,33 @@ use super::{
     stage::Stage,
 };
 use crate::{
-    nn::{CriticNet, GptNet, Store, random_critic},
+    nn::{CriticNet, GptNet, GptSizes, Store, random_critic, random_gpt},
     weights::{CriticWeights, GptWeights},
 };
 
 /// A generator's seed for the critic's first weights.
 const CRITIC_SEED: u64 = 0x6372_6974;
+/// Names in checkpoints.
+const STYLE_STARTS: &str = "style_start_codes";
+const STYLE_CODES: &str = "style_codes";
+
+/// Returns a random network of the configured size.
+pub(super) fn random(config: &Config, columns: usize) -> GptWeights {
+    let gpt = &config.gpt;
+    let codes = match config.ablation.continuous {
+        true => config.vqvae.embedding,
+        false => config.vqvae.codes,
+    };
+    let sizes = GptSizes {
+        channels: gpt.channels,
+        heads: gpt.heads,
+        layers: gpt.base_layers + gpt.head_layers,
+        block: gpt.block,
+        codes: [codes, codes],
+        columns,
+    };
+    random_gpt(sizes, config.run.seed ^ 2)
+}
 
 /// State network and policy, with the scale of their music.
 pub(super) struct Policy {
@@ -31,6 +53,10 @@ pub(super) struct Policy {
     pub(super) manners: Manners,
     /// Pairs of upper and lower codes that training pieces begin with.
     pub(super) starts: Vec<[u32; 2]>,
+    /// Those of pieces of each style.
+    pub(super) style_starts: BTreeMap<String, Vec<[u32; 2]>>,
+    /// Codes of pieces of each style.
+    pub(super) style_codes: BTreeMap<String, StyleCodes>,
     /// The critic that learned beside it, if any.
     pub(super) critic: Option<CriticWeights>,
 }
@@ -72,14 +98,17 @@ impl Policy {
             scale: MusicScale::plain(weights.columns()),
             manners: Manners { styles: manifest.styles.clone(), energy: manifest.energy },
             starts: manifest.start_codes.clone(),
+            style_starts: manifest.style_start_codes.clone(),
+            style_codes: manifest.style_codes.clone(),
             critic: None,
         }
     }
 
     /// The same network with a checkpoint's weights and starts.
     pub(super) fn with_weights(self, checkpoint: &Checkpoint) -> Result<Self, String> {
+        let style_starts = style_starts(checkpoint, &self.manners.styles)?;
         let (store, starts) = (checkpoint.fill(WEIGHT, &self.store)?, starts(checkpoint)?);
-        Ok(Self { store, starts, ..self })
+        Ok(Self { store, starts, style_starts, ..self })
     }
 
     /// Takes that of a stage's checkpoint.
@@ -91,12 +120,15 @@ impl Policy {
         let mut critic_store = Store::default();
         let critic = CriticNet::new(&first_critic(config), &mut critic_store);
         let critic_store = checkpoint.fill(WEIGHT, &critic_store).ok();
+        let manners = Manners::restore(checkpoint)?;
         Ok(Self {
             net,
             store: checkpoint.fill(WEIGHT, &store)?,
             scale,
-            manners: Manners::restore(checkpoint)?,
             starts: starts(checkpoint)?,
+            style_starts: style_starts(checkpoint, &manners.styles)?,
+            style_codes: style_codes(checkpoint, &manners.styles)?,
+            manners,
             critic: critic_store.map(|store| critic.weights(&store)),
         })
     }
@@ -108,6 +140,8 @@ impl Policy {
         let starts = self.starts.as_flattened().iter();
         let starts: Vec<f32> = starts.map(|&code| code as f32).collect();
         checkpoint.put_rows("start_codes", 2, &starts);
+        put_style_starts(checkpoint, &self.manners.styles, &self.style_starts);
+        put_style_codes(checkpoint, &self.manners.styles, &self.style_codes);
     }
 
     /// Scales the rows of a song for the weights in the store, its style beside them.
@@ -141,9 +175,105 @@ fn starts(checkpoint: &Checkpoint) -> Result<Vec<[u32; 2]>, String> {
     Ok(pairs.iter().map(|pair| pair.map(|code| code as u32)).collect())
 }
 
+/// Adds the pairs of each style to a checkpoint, rows of style, upper and lower code.
+pub(super) fn put_style_starts(
+    checkpoint: &mut Checkpoint,
+    styles: &[String],
+    starts: &BTreeMap<String, Vec<[u32; 2]>>,
+) {
+    let pairs = styles.iter().enumerate().flat_map(|(number, style)| {
+        let pairs = starts.get(style).into_iter().flatten();
+        pairs.map(move |&[upper, lower]| [number as u32, upper, lower])
+    });
+    let values: Vec<f32> = pairs.flatten().map(|value| value as f32).collect();
+    if !values.is_empty() {
+        checkpoint.put_rows(STYLE_STARTS, 3, &values);
+    }
+}
+
+/// Reads them; none from a checkpoint of before they were kept.
+fn style_starts(
+    checkpoint: &Checkpoint,
+    styles: &[String],
+) -> Result<BTreeMap<String, Vec<[u32; 2]>>, String> {
+    let mut found: BTreeMap<_, Vec<_>> = BTreeMap::new();
+    let Ok(rows) = checkpoint.tensor(STYLE_STARTS) else {
+        return Ok(found);
+    };
+    for &[style, upper, lower] in rows.data().as_chunks::<3>().0 {
+        let name = styles.get(style as usize);
+        let name = name.ok_or_else(|| format!("`{STYLE_STARTS}`: there is no style {style}"))?;
+        found.entry(name.clone()).or_default().push([upper, lower].map(|code| code as u32));
+    }
+    Ok(found)
+}
+
+/// Adds the codes of each style to a checkpoint, rows of style, half and code.
+pub(super) fn put_style_codes(
+    checkpoint: &mut Checkpoint,
+    styles: &[String],
+    codes: &BTreeMap<String, StyleCodes>,
+) {
+    let mut values: Vec<f32> = Vec::new();
+    for (number, style) in styles.iter().enumerate() {
+        let Some(StyleCodes { upper, lower }) = codes.get(style) else { continue };
+        for (half, codes) in [upper, lower].into_iter().enumerate() {
+            values.extend(codes.iter().flat_map(|&code| [number as f32, half as f32, code as f32]));
+        }
+    }
+    if !values.is_empty() {
+        checkpoint.put_rows(STYLE_CODES, 3, &values);
+    }
+}
+
+/// Reads them; none from a checkpoint of before they were kept.
+fn style_codes(
+    checkpoint: &Checkpoint,
+    styles: &[String],
+) -> Result<BTreeMap<String, StyleCodes>, String> {
+    let mut found: BTreeMap<String, StyleCodes> = BTreeMap::new();
+    let Ok(rows) = checkpoint.tensor(STYLE_CODES) else {
+        return Ok(found);
+    };
+    for &[style, half, code] in rows.data().as_chunks::<3>().0 {
+        let name = styles.get(style as usize);
+        let name = name.ok_or_else(|| format!("`{STYLE_CODES}`: there is no style {style}"))?;
+        let own = found.entry(name.clone()).or_default();
+        if half == 0.0 { &mut own.upper } else { &mut own.lower }.push(code as u32);
+    }
+    Ok(found)
+}
+
 /// Returns an untrained critic of the configured size.
 pub(super) fn first_critic(config: &Config) -> CriticWeights {
     let layers = config.actor_critic.critic_layers;
     let seed = config.run.seed ^ CRITIC_SEED;
     random_critic(config.gpt.channels, config.gpt.heads, layers, seed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_styles_have_comes_back_from_a_checkpoint() {
+        let styles = ["house", "krump", "lock"].map(str::to_owned);
+        let starts: BTreeMap<String, Vec<[u32; 2]>> =
+            [("krump".to_owned(), vec![[3, 500]]), ("lock".to_owned(), vec![[1, 2], [0, 7]])]
+                .into();
+        let mut checkpoint = Checkpoint::default();
+        assert_eq!(style_starts(&checkpoint, &styles), Ok(BTreeMap::new()));
+        put_style_starts(&mut checkpoint, &styles, &starts);
+        assert_eq!(style_starts(&checkpoint, &styles), Ok(starts));
+        let refused = style_starts(&checkpoint, &styles[..2]).unwrap_err();
+        assert!(refused.ends_with("there is no style 2"), "{refused}");
+
+        let own = StyleCodes { upper: vec![3, 4], lower: vec![500] };
+        let codes: BTreeMap<_, _> = [("lock".to_owned(), own)].into();
+        assert_eq!(style_codes(&checkpoint, &styles), Ok(BTreeMap::new()));
+        put_style_codes(&mut checkpoint, &styles, &codes);
+        assert_eq!(style_codes(&checkpoint, &styles), Ok(codes));
+        let refused = style_codes(&checkpoint, &styles[..2]).unwrap_err();
+        assert!(refused.ends_with("there is no style 2"), "{refused}");
+    }
 }

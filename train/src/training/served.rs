@@ -157,7 +157,11 @@ impl ServedModel {
         policy: &Policy,
         facts: impl IntoIterator<Item = (String, Value)>,
     ) -> Result<Manifest, TrainError> {
-        let manifest = Manifest { start_codes: policy.starts.clone(), ..self.manifest().clone() };
+        let manifest = Manifest {
+            start_codes: policy.starts.clone(),
+            style_start_codes: policy.style_starts.clone(),
+            ..self.manifest().clone()
+        };
         let (root, weights) = (self.root(), policy.weights());
         Ok(write_with_gpt((root, manifest), place, &weights, &self.ranges, facts)?)
     }

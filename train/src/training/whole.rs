@@ -19,9 +19,9 @@ use crate::export::check_target;
 /// Runs all stages from their checkpoints, then the export. Finished stages, and a model that is
 /// made of them, stay as they are, with one line on `output`.
 ///
-/// `init` is a model directory that the stages before the rewards start from. `replace` allows another model to be replaced; without it a model that is in the way stops the
-/// run before hours are spent. `limits.seconds` limits all stages together, `limits.steps` each of
-/// them.
+/// `init` is a model directory that the stages before the rewards start from. `replace` allows
+/// another model to be replaced; without it a model that is in the way stops the run before hours
+/// are spent. `limits.seconds` limits all stages together, `limits.steps` each of them.
 ///
 /// # Errors
 /// Any [`TrainError`]; the last checkpoint stays.

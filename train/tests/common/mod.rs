@@ -3,6 +3,7 @@
 pub(crate) mod dancer;
 
 use std::{
+    collections::BTreeMap,
     path::{Path, PathBuf},
     process::{Command, Output},
     sync::{Mutex, MutexGuard, PoisonError},
@@ -86,6 +87,8 @@ pub(crate) fn options(vqvae: &Path, gpt: &Path, out: &Path) -> ImportOptions {
             energy: false,
             classifier: None,
             start_codes: Vec::new(),
+            style_start_codes: BTreeMap::new(),
+            style_codes: BTreeMap::new(),
             suppressed_codes: SuppressedCodes::default(),
             temperature: 0.0,
             guidance: 1.0,

@@ -1,4 +1,4 @@
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 use burn_autodiff::Autodiff;
 use burn_flex::{Flex, FlexDevice};
@@ -7,7 +7,7 @@ use ndarray::Array2;
 use super::*;
 use crate::{
     nn::{GptNet, VqVaeSizes, random_vqvae},
-    training::{gpt::random, manners::Manners, music_scale::MusicScale},
+    training::{manners::Manners, music_scale::MusicScale, policy::random},
     weights::VqVaeWeights,
 };
 
@@ -44,6 +44,8 @@ fn toy(folder: &Path) -> (Config, Policy, Vec<Song>) {
         scale: MusicScale { mean: vec![0.0; COLUMNS], spread: vec![1.0; COLUMNS] },
         manners: Manners::default(),
         starts: vec![[3, 5], [9, 1]],
+        style_starts: BTreeMap::new(),
+        style_codes: BTreeMap::new(),
         critic: None,
     };
     let song = |phase: f32| Song {
