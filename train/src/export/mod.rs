@@ -24,7 +24,6 @@ use staging::Staging;
 pub(crate) const GPT_FILE: &str = "gpt.onnx";
 /// The graph that turns codes into motion.
 pub(crate) const DECODER_FILE: &str = "decoder.onnx";
-
 /// The graph that turns motion into codes.
 pub(crate) const ENCODER_FILE: &str = "encoder.onnx";
 

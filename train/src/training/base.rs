@@ -112,9 +112,8 @@ fn refused(path: &Path, message: &str) -> TrainError {
 
 /// Returns these rows of a matrix, in this order.
 fn chosen(table: &HostTensor, rows: &[usize]) -> HostTensor {
-    let columns = table.dim(1);
-    let value = |flat: usize| table.data()[rows[flat / columns] * columns + flat % columns];
-    HostTensor::from_fn(vec![rows.len(), columns], value)
+    let rows: Vec<_> = rows.iter().map(|&row| table.rows(row, row + 1)).collect();
+    HostTensor::stacked(&rows.iter().collect::<Vec<_>>())
 }
 
 /// Returns each entry's own place, and for entries from `known` on that of the nearest before.
@@ -133,11 +132,9 @@ fn nearest_known(codebook: &HostTensor, known: usize) -> Vec<usize> {
 
 /// The map with columns more, whose weights are zero.
 fn widened(music: &Linear, columns: usize) -> Linear {
-    let own = music.weight.dim(1);
-    let value = |flat: usize| {
-        let (channel, column) = (flat / columns, flat % columns);
-        if column < own { music.weight.data()[channel * own + column] } else { 0.0 }
-    };
-    let shape = vec![music.weight.dim(0), columns];
-    Linear { weight: HostTensor::from_fn(shape, value), bias: music.bias.clone() }
+    let own = music.weight.transposed();
+    let more = columns.saturating_sub(own.dim(0));
+    let zeros = HostTensor::from_fn(vec![more, own.dim(1)], |_| 0.0);
+    let weight = HostTensor::stacked(&[&own, &zeros]).transposed();
+    Linear { weight, bias: music.bias.clone() }
 }

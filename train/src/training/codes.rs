@@ -97,10 +97,10 @@ impl Codes {
     /// Returns the codes that every motion and mirror image begins with, with the motion's number;
     /// `firsts` has the first frame of each motion that is learned.
     pub(super) fn starts(&self, firsts: &[usize]) -> impl Iterator<Item = (usize, [u32; 2])> {
-        let motions = self.motions.iter().zip(firsts).enumerate();
-        let whole = motions.flat_map(|(motion, (dance, first))| {
+        let motions = firsts.iter().enumerate().take(self.motions.len());
+        let whole = motions.flat_map(|(motion, first)| {
             let code = first.div_ceil(FRAMES_PER_CODE);
-            let whole = dance.codes.iter().step_by(dance.phases);
+            let whole = self.whole(motion);
             whole.map(move |pair| (motion, pair.each_ref().map(|half| half.get(code).copied())))
         });
         whole.filter_map(|(motion, [upper, lower])| {
