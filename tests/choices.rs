@@ -20,15 +20,15 @@ fn options(seed: u64, temperature: f32, redo: bool) -> GenerationOptions {
 }
 
 #[test]
-fn a_dance_that_may_be_danced_anew_repeats_itself() {
+fn a_dance_with_regenerated_phrases_repeats_itself() {
     let codes = |seed, temperature, redo| {
         dance_to(&TINY, song("demo.ogg"), &options(seed, temperature, redo)).codes
     };
-    let anew = codes(1, 0.85, true);
-    assert_eq!(anew, codes(1, 0.85, true));
-    assert_ne!(anew, codes(2, 0.85, true));
+    let regenerated = codes(1, 0.85, true);
+    assert_eq!(regenerated, codes(1, 0.85, true));
+    assert_ne!(regenerated, codes(2, 0.85, true));
     // Each phrase has random numbers of its own then.
-    assert_ne!(anew, codes(1, 0.85, false));
+    assert_ne!(regenerated, codes(1, 0.85, false));
     // The most likely codes are the same however often they are asked for.
     assert_eq!(codes(1, 0.0, true), codes(1, 0.0, false));
 }

@@ -48,16 +48,16 @@ fn of_several_candidates_those_on_the_beat_are_danced() {
 }
 
 #[test]
-fn what_is_danced_anew_stands_still_less() {
+fn regenerated_phrases_stand_still_less() {
     const SEEDS: u64 = 16;
     // Colder than it is served, and to nothing: it stands still more often.
     let silence = wav16(1, 16_000, &vec![0; 20 * 16_000]);
-    let standing = |anew: bool| {
+    let standing = |redo: bool| {
         let requests = (0..SEEDS).map(|seed| {
             let options = GenerationOptions {
                 seed: Some(seed),
                 temperature: Some(0.5),
-                redo: Some(anew),
+                redo: Some(redo),
                 ..GenerationOptions::default()
             };
             GenerationRequest::audio(silence.clone(), options)
@@ -66,8 +66,10 @@ fn what_is_danced_anew_stands_still_less() {
         let shares = dances.iter().map(|dance| slow_share(&speeds(dance), FPS));
         shares.sum::<f64>() / SEEDS as f64
     };
-    let (as_it_comes, anew) = (standing(false), standing(true));
-    println!("{as_it_comes:.4} of the frames stand still, {anew:.4} where phrases are danced anew");
+    let (as_it_comes, regenerated) = (standing(false), standing(true));
+    println!(
+        "{as_it_comes:.4} of the frames stand still, {regenerated:.4} where phrases are regenerated"
+    );
     // Of 40 seeds it is two fifths; of these, chance has a say.
-    assert!(anew < 0.7 * as_it_comes, "{as_it_comes} {anew}");
+    assert!(regenerated < 0.7 * as_it_comes, "{as_it_comes} {regenerated}");
 }

@@ -118,7 +118,7 @@ fn the_tiny_models_are_what_the_trainer_writes() {
         let folder = tempfile::tempdir().unwrap();
         let written = folder.path().join("model");
         write(&written);
-        assert_same_files(&written, &model, "written anew");
+        assert_same_files(&written, &model, "written again");
     }
     let [written, kept] = [
         classifier(),

@@ -112,7 +112,7 @@ impl MusicLibrary {
         }
     }
 
-    /// Seconds of a song's beats, as the beat network hears them; those of column 53 where there is
+    /// Seconds of a song's beats, as the beat network finds them; those of column 53 where there is
     /// no song but its rows, which may have every other beat alone (ARCHITECTURE section 7).
     ///
     /// # Errors

@@ -36,7 +36,7 @@ pub enum ExportError {
     NoName(PathBuf),
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: std::io::Error },
-    #[error("{} has changed since the model was read: adapt it anew", .0.display())]
+    #[error("{} has changed since the model was read: adapt it again", .0.display())]
     Changed(PathBuf),
     #[error("{}: {source}", path.display())]
     Write { path: PathBuf, source: std::io::Error },

@@ -2,7 +2,7 @@
 
 use burn_tensor::Tensor;
 
-use super::{crops::change, feet::FEET, piece::MotionPiece};
+use super::{crops::change, feet::FEET, piece::MotionPiece, world::world_steps};
 use crate::{
     data::Draw,
     nn::{Kernels, gathered},
@@ -62,19 +62,9 @@ impl<B: Kernels> Standing<B> {
     /// `[batch, frames, columns]` and the root's velocity, and turn in the dancer's frame,
     /// `[batch, frames, 3 or 4]`.
     pub(super) fn way(&self, joints: &Tensor<B, 3>, root: &Tensor<B, 3>) -> Tensor<B, 1> {
-        let [_, frames, columns] = root.dims();
-        let root = root.clone().narrow(1, 0, frames - 1);
-        let velocity = root.clone().narrow(2, 0, 3);
-        let turn = (columns > 3).then(|| root.narrow(2, 3, 1));
         let ways = self.feet.map(|first| {
-            let foot = joints.clone().narrow(2, first, 3);
-            let now = foot.clone().narrow(1, 0, frames - 1);
-            let next = foot.narrow(1, 1, frames - 1);
-            let next = match &turn {
-                Some(turn) => turned(next, turn.clone()),
-                None => next,
-            };
-            length(velocity.clone() + next - now)
+            let steps = world_steps(&joints.clone().narrow(2, first, 3), root);
+            length(steps.squeeze_dim(2))
         });
         self.mean(ways)
     }
@@ -84,14 +74,6 @@ impl<B: Kernels> Standing<B> {
         let all = Tensor::cat(feet.into(), 2);
         (all * self.stands.clone()).sum() / self.stands.clone().sum().add_scalar(1.0)
     }
-}
-
-/// Turns vectors about +y: +z goes towards +x.
-fn turned<B: Kernels>(vectors: Tensor<B, 3>, angle: Tensor<B, 3>) -> Tensor<B, 3> {
-    let (sin, cos) = (angle.clone().sin(), angle.cos());
-    let [x, y, z] = [0, 1, 2].map(|axis| vectors.clone().narrow(2, axis, 1));
-    let across = x.clone() * cos.clone() + z.clone() * sin.clone();
-    Tensor::cat(vec![across, y, z * cos - x * sin], 2)
 }
 
 /// Computes the lengths of vectors, `[batch, frames, 1]`.

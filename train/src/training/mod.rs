@@ -64,6 +64,7 @@ mod velocity;
 mod vqvae;
 mod whole;
 mod windows;
+mod world;
 
 pub use adapt::{Adaptation, adapt, export_adapted};
 pub use bailando::motion::MotionFrame;

@@ -162,6 +162,7 @@ fn test_losses_are_the_losses_without_learning() {
     config.velocity.pose_decoders = true;
     config.velocity.speed_weight = 2.0;
     config.velocity.contact_weight = 3.0;
+    config.velocity.energy_weight = 3.0;
     let (spec, mut stage) =
         VelocityStage::<Tracked>::new(&config, &set, None, &FlexDevice).unwrap();
     let parameters = Parameters::from_store(&spec.store, &FlexDevice);

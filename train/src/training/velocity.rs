@@ -21,6 +21,7 @@ use super::{
     stage::Stage,
     trainable::{Losses, StageSpec, TrainableStage},
     windows::Windows,
+    world::{energy_error, world_steps},
 };
 use crate::{
     data::Draw,
@@ -136,7 +137,7 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
         let lower = self.half_examples(1, pieces, windows);
         let target = lift(self.root_target(pieces, windows));
         let root = self.root.forward(parameters, lift(lower.entries.clone()));
-        let [velocity, difference, _] = differences(root.clone() - target);
+        let [velocity, difference, _] = differences(root.clone() - target.clone());
         let weight = self.config.velocity.difference_weight;
         let mut loss = velocity.clone() + difference.clone().mul_scalar(weight);
         let mut poses = loss.zeros_like();
@@ -148,7 +149,11 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
                 if let Some(way) = self.contact_loss(columns, (pieces, windows), [&found, &root]) {
                     poses = poses + way;
                 }
-                poses = poses + self.pose_loss(found, lift(half.target));
+                let recorded = lift(half.target);
+                if let Some(energy) = self.energy_loss([&found, &recorded], [&root, &target]) {
+                    poses = poses + energy;
+                }
+                poses = poses + self.pose_loss(found, recorded);
             }
             loss = loss + poses.clone();
         }
@@ -169,6 +174,20 @@ impl<'a, A: Trainable> VelocityStage<'a, A> {
         }
         let standing = Standing::of(columns, examples, settings.frames, &self.device)?;
         Some(standing.way(joints, root).mul_scalar(settings.contact_weight))
+    }
+
+    /// Computes the loss of the kinetic energy of decoded and recorded joints, each carried by its
+    /// root; `None` where it does not count.
+    fn energy_loss<B: Kernels>(
+        &self,
+        joints: [&Tensor<B, 3>; 2],
+        [found, recorded]: [&Tensor<B, 3>; 2],
+    ) -> Option<Tensor<B, 1>> {
+        let weight = self.config.velocity.energy_weight;
+        (weight > 0.0).then(|| {
+            let steps = [world_steps(joints[0], found), world_steps(joints[1], recorded)];
+            energy_error(steps).mul_scalar(weight)
+        })
     }
 
     /// Computes the loss of stage `vqvae` plus the error of every joint's speed: where a code

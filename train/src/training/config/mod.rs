@@ -305,6 +305,7 @@ mod tests {
             "[velocity]\ndifference_weight = -1.0",
             "[velocity]\nspeed_weight = -1.0",
             "[velocity]\ncontact_weight = 1.0",
+            "[velocity]\nenergy_weight = 1.0",
             "[vqvae]\ncontact_weight = -1.0",
             "[gpt]\nheads = 5",
             "[gpt]\nphases = 2",

@@ -71,6 +71,7 @@ pub struct VelocityConfig {
     pub pose_decoders: bool,
     pub speed_weight: f64,
     pub contact_weight: f64,
+    pub energy_weight: f64,
     pub balance: BalanceConfig,
     pub training: TrainingConfig,
     #[serde(rename = "use")]
@@ -83,9 +84,14 @@ impl VelocityConfig {
             ("difference_weight", self.difference_weight),
             ("speed_weight", self.speed_weight),
             ("contact_weight", self.contact_weight),
+            ("energy_weight", self.energy_weight),
         ])?;
-        if self.contact_weight > 0.0 && !self.pose_decoders {
-            return Err("contact_weight needs pose_decoders, which decode the feet".into());
+        let of_joints =
+            [("contact_weight", self.contact_weight), ("energy_weight", self.energy_weight)];
+        if let Some((name, _)) = of_joints.iter().find(|(_, weight)| *weight > 0.0)
+            && !self.pose_decoders
+        {
+            return Err(format!("{name} needs pose_decoders, which decode the joints"));
         }
         within("balance.", self.balance.check())?;
         check_crops(self.frames, self.stride)
