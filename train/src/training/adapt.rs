@@ -17,7 +17,7 @@ use super::{
     decode::motion_weights,
     device::on_device,
     error::TrainError,
-    expert::{ExpertDances, expert_dances},
+    expert::expert_dances,
     export,
     identity::{Identity, concerns},
     imitate::{ImitatedSong, ImitationTask, imitate},
@@ -119,10 +119,16 @@ impl Adaptation {
             let place = (model, self.folder.as_path());
             dances.push(expert_dances(settings, place, (path, hash), seed, output)?);
         }
-        // From any other code it would first have to find one of the dances.
-        let style_starts = ExpertDances::style_starts(&dances, &model.manifest().styles);
-        let policy =
-            Policy { starts: ExpertDances::starts(&dances), style_starts, ..model.policy() };
+        let policy = match &dances[..] {
+            // From any other code it would first have to find one of the dances.
+            [one] => Policy {
+                starts: one.starts(),
+                style_starts: one.style_starts(&model.manifest().styles),
+                ..model.policy()
+            },
+            // Those of all songs are a few a style, and say nothing of any other song.
+            _ => model.policy(),
+        };
         let (run, temperature) = (self.run(config), model.temperature());
         let songs = self.songs.iter().zip(dances).map(|(song, dances)| ImitatedSong {
             music: policy.conditioned(&song.rows, dances.style.as_deref()),

@@ -25,23 +25,19 @@ pub(super) struct ExpertDances {
 }
 
 impl ExpertDances {
-    /// Returns the pairs of codes that dances begin with, each once.
-    pub(super) fn starts<'a>(of: impl IntoIterator<Item = &'a Self>) -> Vec<[u32; 2]> {
-        let codes = of.into_iter().flat_map(|dances| &dances.codes);
-        let starts = codes.filter_map(|[upper, lower]| {
+    /// Returns the pairs of codes that they begin with, each once.
+    pub(super) fn starts(&self) -> Vec<[u32; 2]> {
+        let starts = self.codes.iter().filter_map(|[upper, lower]| {
             Some([*upper.first()?, *lower.first()?].map(|code| code as u32))
         });
         let starts: BTreeSet<[u32; 2]> = starts.collect();
         starts.into_iter().collect()
     }
 
-    /// Returns those of dances in each style.
-    pub(super) fn style_starts(of: &[Self], styles: &[String]) -> BTreeMap<String, Vec<[u32; 2]>> {
-        let own = |style: &String| {
-            let dances = of.iter().filter(|dances| dances.style.as_ref() == Some(style));
-            (style.clone(), Self::starts(dances))
-        };
-        styles.iter().map(own).filter(|(_, starts)| !starts.is_empty()).collect()
+    /// Returns these as those of their style; nothing where it is none of `styles`.
+    pub(super) fn style_starts(&self, styles: &[String]) -> BTreeMap<String, Vec<[u32; 2]>> {
+        let style = self.style.as_ref().filter(|style| styles.contains(style));
+        style.map(|style| (style.clone(), self.starts())).into_iter().collect()
     }
 }
 

@@ -5,7 +5,7 @@ use burn_tensor::Tensor;
 use crate::{data::FPS, nn::Kernels};
 
 /// Steps of a window whose mean kinetic energy is compared: a second.
-const WINDOW: usize = FPS as usize;
+const WINDOW: usize = FPS;
 /// Added to squares of speeds, so that their root has a derivative at rest, (metres a frame)^2.
 const REST: f64 = 1e-10;
 
@@ -32,8 +32,8 @@ fn turned<B: Kernels>(vectors: Tensor<B, 4>, angle: Tensor<B, 4>) -> Tensor<B, 4
 }
 
 /// Computes the mean error of joints' root-mean-square speeds over each second, of the steps of
-/// decoded and recorded motion, across the floor and up or down, metres a frame: zero where decoded motion has the kinetic energy of the
-/// recording, whenever in that second it is spent.
+/// decoded and recorded motion, across the floor and up or down, metres a frame: zero where decoded
+/// motion has the kinetic energy of the recording, whenever in that second it is spent.
 ///
 /// Squared errors of places make motion slower than any recording where the same codes stand for
 /// several; this says nothing of where joints go.
