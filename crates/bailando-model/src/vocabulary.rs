@@ -14,7 +14,7 @@ pub struct Vocabulary {
 }
 
 /// Codes of each half that a dance in a style may draw: those of its training recordings. One that
-/// left them would go on in another style.
+/// left them would continue in another style.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StyleCodes {

@@ -126,7 +126,7 @@ impl Adaptation {
                 style_starts: one.style_starts(&model.manifest().styles),
                 ..model.policy()
             },
-            // Those of all songs are a few a style, and say nothing of any other song.
+            // Several songs' dances have few starts for each style, which fit no other song.
             _ => model.policy(),
         };
         let (run, temperature) = (self.run(config), model.temperature());

@@ -2,14 +2,16 @@
 
 use burn_tensor::Tensor;
 
-use super::{crops::change, feet::FEET, piece::MotionPiece, world::world_steps};
+use super::{
+    crops::change,
+    feet::FEET,
+    piece::MotionPiece,
+    world::{lengths, world_steps},
+};
 use crate::{
     data::Draw,
     nn::{Kernels, gathered},
 };
-
-/// Added to squares of ways, so that their root has a derivative at rest, (metres a frame)^2.
-const REST: f64 = 1e-10;
 
 /// Gathers whether feet of crops stand, 1 or 0, `[batch, frames - 1, 2]`.
 fn standing<B: Kernels>(
@@ -55,7 +57,7 @@ impl<B: Kernels> Standing<B> {
     /// Computes the mean change of an error of positions from frame to frame, over standing feet.
     pub(super) fn velocity_error(&self, error: &Tensor<B, 3>) -> Tensor<B, 1> {
         let [left, right] = self.feet.map(|first| change(error.clone().narrow(2, first, 3)));
-        self.mean([left, right].map(length))
+        self.mean([left, right].map(lengths))
     }
 
     /// Computes the mean way of standing feet over the floor, metres a frame, of decoded joints
@@ -64,7 +66,7 @@ impl<B: Kernels> Standing<B> {
     pub(super) fn way(&self, joints: &Tensor<B, 3>, root: &Tensor<B, 3>) -> Tensor<B, 1> {
         let ways = self.feet.map(|first| {
             let steps = world_steps(&joints.clone().narrow(2, first, 3), root);
-            length(steps.squeeze_dim(2))
+            lengths(steps.squeeze_dim(2))
         });
         self.mean(ways)
     }
@@ -74,11 +76,6 @@ impl<B: Kernels> Standing<B> {
         let all = Tensor::cat(feet.into(), 2);
         (all * self.stands.clone()).sum() / self.stands.clone().sum().add_scalar(1.0)
     }
-}
-
-/// Computes the lengths of vectors, `[batch, frames, 1]`.
-fn length<B: Kernels>(vectors: Tensor<B, 3>) -> Tensor<B, 3> {
-    vectors.square().sum_dim(2).add_scalar(REST).sqrt()
 }
 
 #[cfg(test)]

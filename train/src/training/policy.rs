@@ -175,73 +175,84 @@ fn starts(checkpoint: &Checkpoint) -> Result<Vec<[u32; 2]>, String> {
     Ok(pairs.iter().map(|pair| pair.map(|code| code as u32)).collect())
 }
 
-/// Adds the pairs of each style to a checkpoint, rows of style, upper and lower code.
+/// Adds pairs of each style to a checkpoint, rows of style and pair; nothing where there are none.
+fn put_style_pairs(
+    checkpoint: &mut Checkpoint,
+    name: &str,
+    styles: &[String],
+    pairs: impl Fn(&String) -> Vec<[u32; 2]>,
+) {
+    let rows = styles.iter().enumerate().flat_map(|(number, style)| {
+        pairs(style).into_iter().map(move |[first, second]| [number as u32, first, second])
+    });
+    let values: Vec<f32> = rows.flatten().map(|value| value as f32).collect();
+    if !values.is_empty() {
+        checkpoint.put_rows(name, 3, &values);
+    }
+}
+
+/// Reads pairs of each style; none from a checkpoint of before they were kept.
+fn style_pairs(
+    checkpoint: &Checkpoint,
+    name: &str,
+    styles: &[String],
+) -> Result<BTreeMap<String, Vec<[u32; 2]>>, String> {
+    let mut found: BTreeMap<_, Vec<_>> = BTreeMap::new();
+    let Ok(rows) = checkpoint.tensor(name) else {
+        return Ok(found);
+    };
+    for &[style, first, second] in rows.data().as_chunks::<3>().0 {
+        let own = styles.get(style as usize);
+        let own = own.ok_or_else(|| format!("`{name}`: there is no style {style}"))?;
+        found.entry(own.clone()).or_default().push([first, second].map(|value| value as u32));
+    }
+    Ok(found)
+}
+
+/// Adds the pairs of upper and lower codes that each style begins with to a checkpoint.
 pub(super) fn put_style_starts(
     checkpoint: &mut Checkpoint,
     styles: &[String],
     starts: &BTreeMap<String, Vec<[u32; 2]>>,
 ) {
-    let pairs = styles.iter().enumerate().flat_map(|(number, style)| {
-        let pairs = starts.get(style).into_iter().flatten();
-        pairs.map(move |&[upper, lower]| [number as u32, upper, lower])
-    });
-    let values: Vec<f32> = pairs.flatten().map(|value| value as f32).collect();
-    if !values.is_empty() {
-        checkpoint.put_rows(STYLE_STARTS, 3, &values);
-    }
+    let of = |style: &String| starts.get(style).cloned().unwrap_or_default();
+    put_style_pairs(checkpoint, STYLE_STARTS, styles, of);
 }
 
-/// Reads them; none from a checkpoint of before they were kept.
 fn style_starts(
     checkpoint: &Checkpoint,
     styles: &[String],
 ) -> Result<BTreeMap<String, Vec<[u32; 2]>>, String> {
-    let mut found: BTreeMap<_, Vec<_>> = BTreeMap::new();
-    let Ok(rows) = checkpoint.tensor(STYLE_STARTS) else {
-        return Ok(found);
-    };
-    for &[style, upper, lower] in rows.data().as_chunks::<3>().0 {
-        let name = styles.get(style as usize);
-        let name = name.ok_or_else(|| format!("`{STYLE_STARTS}`: there is no style {style}"))?;
-        found.entry(name.clone()).or_default().push([upper, lower].map(|code| code as u32));
-    }
-    Ok(found)
+    style_pairs(checkpoint, STYLE_STARTS, styles)
 }
 
-/// Adds the codes of each style to a checkpoint, rows of style, half and code.
+/// Adds the codes of each style to a checkpoint, pairs of half and code.
 pub(super) fn put_style_codes(
     checkpoint: &mut Checkpoint,
     styles: &[String],
     codes: &BTreeMap<String, StyleCodes>,
 ) {
-    let mut values: Vec<f32> = Vec::new();
-    for (number, style) in styles.iter().enumerate() {
-        let Some(StyleCodes { upper, lower }) = codes.get(style) else { continue };
-        for (half, codes) in [upper, lower].into_iter().enumerate() {
-            values.extend(codes.iter().flat_map(|&code| [number as f32, half as f32, code as f32]));
-        }
-    }
-    if !values.is_empty() {
-        checkpoint.put_rows(STYLE_CODES, 3, &values);
-    }
+    let of = |style: &String| {
+        let halves = codes.get(style).map(|StyleCodes { upper, lower }| [(0, upper), (1, lower)]);
+        let halves = halves.into_iter().flatten();
+        halves.flat_map(|(half, codes)| codes.iter().map(move |&code| [half, code])).collect()
+    };
+    put_style_pairs(checkpoint, STYLE_CODES, styles, of);
 }
 
-/// Reads them; none from a checkpoint of before they were kept.
 fn style_codes(
     checkpoint: &Checkpoint,
     styles: &[String],
 ) -> Result<BTreeMap<String, StyleCodes>, String> {
-    let mut found: BTreeMap<String, StyleCodes> = BTreeMap::new();
-    let Ok(rows) = checkpoint.tensor(STYLE_CODES) else {
-        return Ok(found);
-    };
-    for &[style, half, code] in rows.data().as_chunks::<3>().0 {
-        let name = styles.get(style as usize);
-        let name = name.ok_or_else(|| format!("`{STYLE_CODES}`: there is no style {style}"))?;
-        let own = found.entry(name.clone()).or_default();
-        if half == 0.0 { &mut own.upper } else { &mut own.lower }.push(code as u32);
-    }
-    Ok(found)
+    let pairs = style_pairs(checkpoint, STYLE_CODES, styles)?;
+    let own = pairs.into_iter().map(|(style, pairs)| {
+        let mut codes = StyleCodes::default();
+        for [half, code] in pairs {
+            if half == 0 { &mut codes.upper } else { &mut codes.lower }.push(code);
+        }
+        (style, codes)
+    });
+    Ok(own.collect())
 }
 
 /// Returns an untrained critic of the configured size.

@@ -21,15 +21,12 @@ use super::{
     stage::Stage,
     trainable::{Losses, StageSpec, TrainableStage},
     windows::Windows,
-    world::{energy_error, world_steps},
+    world::{energy_error, lengths, world_steps},
 };
 use crate::{
     data::Draw,
     nn::{DecoderNet, Kernels, Parameters, Store, Trainable},
 };
-
-/// Added to squares of speeds, so that their root has a derivative at rest, (metres a frame)^2.
-const REST: f64 = 1e-10;
 
 /// The decoders that the stage learns.
 pub(super) struct Decoders {
@@ -212,8 +209,7 @@ struct Examples<B: Kernels> {
 /// Returns the metres that every joint moves in a frame, `[batch, frames - 1, joints, 1]`.
 fn speeds<B: Kernels>(motion: Tensor<B, 3>) -> Tensor<B, 4> {
     let [batch, frames, columns] = motion.dims();
-    let squares = change(motion).reshape([batch, frames - 1, columns / 3, 3]).square();
-    squares.sum_dim(3).add_scalar(REST).sqrt()
+    lengths(change(motion).reshape([batch, frames - 1, columns / 3, 3]))
 }
 
 impl<A: Trainable> TrainableStage<A> for VelocityStage<'_, A> {

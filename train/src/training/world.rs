@@ -31,6 +31,11 @@ fn turned<B: Kernels>(vectors: Tensor<B, 4>, angle: Tensor<B, 4>) -> Tensor<B, 4
     Tensor::cat(vec![across, y, z * cos - x * sin], 3)
 }
 
+/// Computes the lengths of vectors along the last dimension, which becomes 1.
+pub(super) fn lengths<B: Kernels, const D: usize>(vectors: Tensor<B, D>) -> Tensor<B, D> {
+    vectors.square().sum_dim(D - 1).add_scalar(REST).sqrt()
+}
+
 /// Computes the mean error of joints' root-mean-square speeds over each second, of the steps of
 /// decoded and recorded motion, across the floor and up or down, metres a frame: zero where decoded
 /// motion has the kinetic energy of the recording, whenever in that second it is spent.
