@@ -1,15 +1,17 @@
 #!/usr/bin/env python3
 """Composes three songs of half a minute on which no model was trained, as WAV files.
 
-Usage: scripts/compose-songs.py FOLDER [--form]
+Usage: scripts/compose-songs.py FOLDER [--form | --styles]
 
-Hip-hop at 90 BPM, house at 128, drum and bass at 175. With --form six songs of about a minute
-instead, at 84 to 138 BPM, whose sections return: their form stands in their names, one letter for
-each section of 12 bars or of 8. Every run gives the same songs: noise and notes come from seeded
-generators. Needs only Python's standard library.
+Hip-hop at 90 BPM, house at 128, drum and bass at 175. With --styles eleven songs instead, one for
+each style of the default model and named after it. With --form six songs of about a minute, at 84
+to 138 BPM, whose sections return: their form stands in their names, one letter for each section of
+12 bars or of 8. Every run gives the same songs: noise and notes come from seeded generators. Needs
+only Python's standard library.
 """
 
 import array
+import dataclasses
 import functools
 import math
 import pathlib
@@ -55,6 +57,10 @@ def hat(noise, decay=0.02):
     return samples
 
 
+def wood_block(_noise):
+    return tone(91, 0.1, 0.02, (0.35, 0.1))
+
+
 @functools.lru_cache(maxsize=512)
 def tone(midi, length, decay, overtones):
     step = 2 * math.pi * 440 * 2 ** ((midi - 69) / 12) / RATE
@@ -67,14 +73,17 @@ def tone(midi, length, decay, overtones):
 class Song:
     """A song on a grid of sixteenths."""
 
-    def __init__(self, bpm, bars=None):
+    def __init__(self, bpm, bars=None, swing=0.0):
+        """`swing` delays every second sixteenth by so many sixteenths."""
         self.sixteenth = 60 / bpm / 4
+        self.swing = swing
         bar = self.sixteenth * SIXTEENTHS_PER_BAR
         self.samples = [0.0] * int((bars * bar if bars else SECONDS) * RATE)
         self.bars = bars or math.ceil(SECONDS / bar)
 
     def add(self, bar, place, sound, gain=1.0):
-        start = round((bar * SIXTEENTHS_PER_BAR + place) * self.sixteenth * RATE)
+        late = self.swing * (place % 2)
+        start = round((bar * SIXTEENTHS_PER_BAR + place + late) * self.sixteenth * RATE)
         for i, sample in enumerate(sound[: max(len(self.samples) - start, 0)], start):
             self.samples[i] += gain * sample
 
@@ -142,6 +151,67 @@ def drum_and_bass():
     return song
 
 
+@dataclasses.dataclass
+class Groove:
+    """Places of a style's instruments, in sixteenths of a bar, or of two where one is above 15."""
+
+    bpm: float
+    kick: tuple
+    snare: tuple
+    hat: tuple
+    bass: tuple
+    chords: tuple
+    roots: tuple = (45, 41, 43, 40)
+    third: int = 3
+    swing: float = 0.0
+    wood: tuple = ()
+    chord_seconds: float = 0.3
+
+
+EIGHTHS = tuple(range(0, 16, 2))
+SIXTEENTHS = tuple(range(16))
+FOUR = (0, 4, 8, 12)
+GROOVES = {
+    "ballet-jazz": Groove(126, (0, 8), (12,), (0, 4, 7, 8, 12, 15), FOUR, (6, 15), (43, 48, 41, 46),
+                          4, swing=0.33),
+    "break": Groove(106, (0, 2, 10, 11), (4, 7, 9, 12, 15), EIGHTHS, (0, 2, 10), (0, 6)),
+    "house": Groove(122, FOUR, (4, 12), (2, 6, 10, 14), (2, 6, 10, 13), (3, 6, 11, 14)),
+    "krump": Groove(92, (0, 3, 6, 16, 22, 26), (8, 24), EIGHTHS, (0, 3, 6, 16, 22), (0, 24),
+                    (38, 38, 39, 36), chord_seconds=0.8),
+    "la-hiphop": Groove(114, (0, 3, 6, 10), (4, 12), EIGHTHS, (0, 3, 6, 10), (0, 7)),
+    "lock": Groove(110, (0, 2, 10), (4, 12), SIXTEENTHS, (0, 2, 5, 7, 10, 13), (3, 6, 11), third=4),
+    "middle-hiphop": Groove(96, (0, 7, 10), (4, 12), EIGHTHS, (0, 7, 10), (2, 10), swing=0.3),
+    "pop": Groove(100, (0, 6, 8), (4, 12), EIGHTHS, (0, 2, 6, 8, 10, 14), (0, 8), (40, 40, 43, 45)),
+    "salsa": Groove(180, (12, 14), (4,), FOUR, (6, 12), (0, 4, 6, 10, 14, 18, 22, 26, 30),
+                    (45, 50, 52, 50), wood=(0, 6, 12, 20, 24)),
+    "street-jazz": Groove(104, (0, 6, 10), (4, 12), SIXTEENTHS, (0, 6, 10), (0,), (41, 48, 43, 45),
+                          4, chord_seconds=1.2),
+    "waack": Groove(116, FOUR, (4, 12), SIXTEENTHS, (0, 2, 4, 6, 8, 10, 12, 14), (2, 10),
+                    (45, 50, 43, 48), 4),
+}
+
+
+def grooving(style):
+    groove = GROOVES[style]
+    song, noise = Song(groove.bpm, swing=groove.swing), random.Random(style)
+    drums = {kick: groove.kick, snare: groove.snare, hat: groove.hat, wood_block: groove.wood}
+    for bar in range(song.bars):
+        def of_bar(places):
+            bars = 2 if max(places, default=0) > 15 else 1
+            return [place % 16 for place in places if place // 16 == bar % bars]
+
+        song.drum(bar, {sound: of_bar(places) for sound, places in drums.items()}, noise)
+        root = groove.roots[bar // 2 % 4]
+        for number, place in enumerate(of_bar(groove.bass)):
+            note = root - 12 + (0, 7, 12, 7)[number % 4]
+            song.add(bar, place, tone(note, 0.3, 0.18, (0.5, 0.2, 0.1)))
+        for place in of_bar(groove.chords):
+            for interval in (0, groove.third, 7, groove.third + 7):
+                length = groove.chord_seconds
+                song.add(bar, place, tone(root + 12 + interval, length, length / 2.5, (0.1, 0.05)))
+    return song
+
+
 def section(song, letter, bars):
     """A section of its own chords, drums, bass and tune, the same for every letter of a song."""
     dice, noise = random.Random(f"{song.sixteenth} {letter}"), random.Random(letter)
@@ -185,11 +255,15 @@ FORMS = {84: "aba", 96: "aba", 108: "abab", 120: "abcb", 128: "abab", 138: "abca
 
 
 def main():
-    if len(sys.argv) not in (2, 3) or sys.argv[2:] not in ([], ["--form"]):
+    if len(sys.argv) not in (2, 3) or sys.argv[2:] not in ([], ["--form"], ["--styles"]):
         sys.exit(__doc__)
     folder = pathlib.Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    if sys.argv[2:]:
+    if "--styles" in sys.argv:
+        for style in GROOVES:
+            grooving(style).write(folder / f"{style}.wav")
+        return
+    if "--form" in sys.argv:
         for bpm, form in FORMS.items():
             formed(bpm, form).write(folder / f"{form}_{bpm}.wav")
         return

@@ -23,14 +23,6 @@ rm -rf "$out"
 mkdir -p "$out"
 awk -v folder="$out/run" '/^folder = "runs\/default"$/ { $0 = "folder = \"" folder "\"" } { print }' \
     train/presets/default.toml > "$out/settings.toml"
-cat > "$out/beats.py" <<'PY'
-"""The beats that a song was heard with, out of its dances, as `evaluate --beats` reads them."""
-import json, pathlib, sys
-found = {}
-for path in sorted(pathlib.Path(sys.argv[1]).glob("*.json")):
-    found[path.stem] = [round(60 * second) for second in json.load(open(path))["music"]["beats_s"]]
-print(json.dumps(found))
-PY
 
 printf '## Time to adapt\n\n'
 for song in "$songs"/*; do
@@ -49,7 +41,7 @@ for song in "$songs"/*; do
         done
     done
 done
-python3 "$out/beats.py" "$out/before/seed1" > "$out/beats.json"
+scripts/heard-beats.py "$out/before/seed1" > "$out/beats.json"
 # measure SET WHOSE-BEATS [OPTION..]
 measure() {
     printf '\n## Dances %s, beats of %s\n\n' "$1" "$2"
