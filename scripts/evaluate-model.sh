@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # The figures of a model card: a model's motion for the test split of a data folder, a few times,
-# against the recordings; the recordings through its VQ-VAE alone, measured the same way; its
-# conditioning on the music; and ten motions each for songs it never met: those that
-# scripts/compose-songs.py writes, of other genres and of the styles that the model has, and
-# DATA/demo/demo.flac, if it exists.
+# against the recordings, in windows and by the published protocol; the recordings through its VQ-VAE
+# alone, measured the same way; its conditioning on the music; and ten motions each for songs it never
+# met: those that scripts/compose-songs.py writes, of other genres and of the styles that the model
+# has, and DATA/demo/demo.flac, if it exists.
 # Usage: scripts/evaluate-model.sh [MODEL [DATA [OUT]]]
 #   MODEL  model directory           (default models/default)
 #   DATA   data folder with a test split and test_beats.json  (default ../shared/data/salsa)
@@ -60,15 +60,16 @@ for ((seed = 1; seed <= seeds; seed++)); do
     done < <(pieces)
 done | dance_all
 measure() {
-    "$bailando" evaluate --reference "$data" --window 300 --stride 150 "$@"
+    "$bailando" evaluate --reference "$data" "$@"
 }
-measure_test() {
-    measure --split test --beats "$data/test_beats.json" "$@"
-}
+windows=(--window 300 --stride 150)
+of_test=(--split test --beats "$data/test_beats.json")
 
 printf '## Dances\n\n'
-measure_test --generated "$out/dances" --seeds "$seeds" --plot "$out/evaluation.svg" \
-    "${styles_from[@]/#/--styles-from=}"
+measure --generated "$out/dances" --seeds "$seeds" "${of_test[@]}" "${windows[@]}" \
+    --plot "$out/evaluation.svg" "${styles_from[@]/#/--styles-from=}"
+printf '\n## Dances, first 20 s: the published protocol\n\n'
+measure --generated "$out/dances" --seeds "$seeds" "${of_test[@]}"
 
 rm -rf "$out/encoded" "$out/reconstructed"
 "$trainer" encode "$data" --model-dir "$model" --out "$out/encoded" --reconstruct > "$out/encode.log"
@@ -84,7 +85,7 @@ for piece in pieces:
     os.link(f"{out}/encoded/{first[piece['motion']]}.npy", f"{out}/reconstructed/{piece['id']}.npy")
 PY
 printf '\n## Recordings through the VQ-VAE alone\n\n'
-measure_test --generated "$out/reconstructed"
+measure --generated "$out/reconstructed" "${of_test[@]}" "${windows[@]}"
 
 printf '\n## Conditioning on the music\n\n'
 "$trainer" music-gap "$data" --model-dir "$model"
@@ -110,5 +111,5 @@ for beats in 'column 53, as published' 'the beat network'; do
     printf '\n## Songs it never met, beats of %s\n\n' "$beats"
     heard=()
     [ "$beats" != 'the beat network' ] || heard=(--beats "$out/new-beats.json")
-    measure --generated "$out/new" --seeds 10 --new-songs "$out/songs" "${heard[@]}"
+    measure --generated "$out/new" --seeds 10 --new-songs "$out/songs" "${windows[@]}" "${heard[@]}"
 done
